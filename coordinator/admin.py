@@ -6,10 +6,11 @@ The module does not open a second writer: it changes nothing unless it holds the
 from __future__ import annotations
 
 import contextlib
+import time
 from datetime import datetime
 from pathlib import Path
 
-from coordinator.archive.staging import Staging
+from coordinator.archive.staging import Staging, is_held
 from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.ledger.reading.reader import open_ledger, require_sound, translate_damage
@@ -19,6 +20,8 @@ from schemas.errors import TransientError, UsageError
 from schemas.protocol.address_file import read_address, remove_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import TlsFiles
+
+_PATIENCE_S, _PAUSE_S = 15.0, 0.5
 
 
 def administer(
@@ -41,21 +44,45 @@ def administer(
         tls: TLS files for the connection to a running coordinator; `None` connects without TLS.
 
     Raises:
-        WorldError: the ledger does not exist, or a coordinator holds the directory and cannot be reached.
+        TransientError: a coordinator holds the directory and does not answer.
+        WorldError: the ledger does not exist, or the directory cannot be locked.
         UsageError: the ledger has a newer format, or a drain is requested and no coordinator runs.
     """
     url = ledger_url_of(root, ledger_url)
     with open_ledger(url) as connection:
         read_info(connection)  # raises before any file is created
-    address = read_address(root)
-    if address is not None and address.endpoints:
-        with contextlib.suppress(TransientError):  # a killed coordinator leaves its address file: the lock decides
-            return ask_admin([_from_here(endpoint) for endpoint in address.endpoints], request, name, tls)
+    answer = _ask_coordinator(root, request, name, tls)
+    if answer is not None:
+        return answer
     with contextlib.closing(Staging(root, str(root))):  # the lock that a coordinator holds
         reply = _administer_offline(url, request, now)
         if request.action is AdminAction.RETRY:
             remove_address(root)  # it may state that the run is finished
         return reply
+
+
+def _ask_coordinator(root: Path, request: AdminRequest, name: str, tls: TlsFiles | None) -> AdminReply | None:
+    """Sends a request to the coordinator that holds a directory; returns `None` if none holds it.
+
+    A request without an answer is sent again for some seconds, because a coordinator reads its admission list every
+    two seconds and then closes all connections once.
+
+    Raises:
+        TransientError: a coordinator holds the directory and does not answer.
+    """
+    end = time.monotonic() + _PATIENCE_S
+    while True:
+        address = read_address(root)
+        if address is None or not address.endpoints:
+            return None
+        try:
+            return ask_admin([_from_here(endpoint) for endpoint in address.endpoints], request, name, tls)
+        except TransientError:
+            if not is_held(root):
+                return None  # a killed coordinator leaves its address file
+            if time.monotonic() > end:
+                raise
+        time.sleep(_PAUSE_S)
 
 
 def _from_here(endpoint: str) -> str:

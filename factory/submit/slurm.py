@@ -131,7 +131,7 @@ def coordinator_script(job: SlurmJob) -> str:
 def workers_script(job: SlurmJob) -> str:
     """Returns the script of an array of workers, which find the coordinator through the folder of the run."""
     options = ("--connect", f"@{job.dataset}", "--tls", job.run / "pki" / "worker")
-    more = ("--cores", job.cpus, "--connect-timeout", 3600)
+    more = ("--cores", job.cpus, "--connect-timeout", 3600, "--verbose")
     spool = '--spool "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID}"'
     command = f"run_task 0 {_command(job, 'worker', *options, *more)} {spool}"
     return _script(job, "workers", command, array=job.tasks, cpus=job.cpus)

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError
 from schemas.base import Fraction, Model, Sha256
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
-from schemas.storage.dataset_files import META_FILE
+from schemas.storage.dataset_files import META_FILE, is_submitted_run
 from schemas.storage.place import Place
 from schemas.terms import Recording
 from schemas.view import ViewSettings
@@ -148,7 +148,7 @@ def read_dataset_meta(root: Place) -> DatasetMeta:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
-        raise WorldError(f"{root} is not a dataset: {META_FILE} is missing; give the --out of `factory run`") from error
+        raise WorldError(f"{root} is not a dataset: {META_FILE} is missing; {_remedy(root)}") from error
     except (OSError, ValueError) as error:
         raise ArchiveCorrupt(f"{path} cannot be read: {error}") from error
     _refuse_newer(path, text)
@@ -158,6 +158,14 @@ def read_dataset_meta(root: Place) -> DatasetMeta:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
         raise ArchiveCorrupt(f"{path} is damaged at {where!r}: {first['msg']}; resume the run to rewrite it") from error
+
+
+def _remedy(root: Place) -> str:
+    if isinstance(root, Path) and is_submitted_run(root):
+        return f"it is the folder of a submitted run: give {root / 'dataset'}"
+    if isinstance(root, Path) and is_submitted_run(root.parent):
+        return f"the last job of the submitted run writes it; see its progress with `factory status {root.parent}`"
+    return "give the --out of `factory run`"
 
 
 def _refuse_newer(path: Place, text: str) -> None:

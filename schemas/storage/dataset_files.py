@@ -28,3 +28,8 @@ def is_part(name: str) -> bool:
 def is_dataset(folder: Path) -> bool:
     """Returns whether a directory contains the dataset of a run, finished or unfinished."""
     return (folder / LEDGER_FILE).is_file() or (folder / META_FILE).is_file()
+
+
+def is_submitted_run(folder: Path) -> bool:
+    """Returns whether a directory is the folder of a run of `factory submit`; the dataset is a directory in it."""
+    return (folder / "slurm" / "plan.toml").is_file()

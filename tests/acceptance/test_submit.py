@@ -38,3 +38,16 @@ def test_a_refused_run_leaves_nothing_so_that_the_command_can_be_repeated(
     assert all(Path(script).is_file() for script in submitted["scripts"])
     again = site(*command, "--partition", "cpu", expect=2)
     assert "exists: choose another --out, or submit the scripts in" in again.stderr
+
+
+def test_commands_accept_the_folder_of_a_submitted_run_or_name_its_dataset(
+    site: FactoryCli, plan: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    site("submit", "slurm", plan, "--out", run, "--tasks", 2, "--partition", "cpu")
+    assert "no task of" in site("status", run, expect=1).stderr
+    assert f"give {run / 'dataset'}" in site("stats", run, expect=1).stderr
+    assert f"factory status {run}" in site("verify", run / "dataset", expect=1).stderr
+    shard = ("--shard", "1/2", "--scenes", run / "scenes", "--out", run / "shards" / "1", "--gate", "skip")
+    site("run", run / "slurm" / "plan.toml", *shard, "--workers", 1)
+    assert [one["finished"] for one in site.json("status", run)["shards"]] == [True]

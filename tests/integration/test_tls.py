@@ -22,7 +22,7 @@ from coordinator.protocol.zenoh_config import client_config, router_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.keys import admit, revoke
-from schemas.errors import TransientError, WorldError
+from schemas.errors import TransientError
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import Role, TlsFiles
 from schemas.protocol.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
@@ -231,8 +231,19 @@ def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_
         )
     with pytest.raises(TransientError, match=r"hosts\.txt"):
         ask_progress(hub.endpoints, "stranger", files)
-    with pytest.raises(WorldError, match="another coordinator"):  # no coordinator is reachable without a certificate
+    with pytest.raises(TransientError, match="no coordinator at"):  # none is reachable without a certificate
         administer(tmp_path / "out", request, datetime.now(UTC))
+
+
+def test_an_operator_who_was_just_admitted_can_administer_the_run(pki, tmp_path):
+    mine = tmp_path / "pki"
+    shutil.copytree(pki, mine)
+    revoke(mine, "admin")
+    with opened_at(tmp_path, mine) as hub:
+        admit(mine, "admin", Role.OPERATOR, (), 30, datetime.now(UTC), renew=True)
+        request = AdminRequest(action=AdminAction.PAUSE)
+        administer(tmp_path / "out", request, datetime.now(UTC), name="admin", tls=files_of(mine, "admin"))
+        assert hub.progress().planned == 2
 
 
 def test_a_revoked_host_loses_access_while_others_continue(pki, tmp_path):

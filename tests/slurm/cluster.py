@@ -5,6 +5,7 @@ Needs root, because slurmd starts the tasks of users. Changes no file of the sys
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import shutil
@@ -118,6 +119,15 @@ class SlurmCluster:
             assert time.monotonic() < end, f"never came: {what}\n{self.call('squeue', '--all')}"
             time.sleep(0.5)
 
+    @contextmanager
+    def without(self, *nodes: str) -> Iterator[None]:
+        """Starts no task on some nodes while the context is open."""
+        self.call("scontrol", "update", f"nodename={','.join(nodes)}", "state=drain", "reason=test")
+        try:
+            yield
+        finally:
+            self.call("scontrol", "update", f"nodename={','.join(nodes)}", "state=resume")
+
     def kill_node(self, name: str) -> None:
         """Kills the daemon of a node and the tasks that it runs, as a power failure does, and reports the node down."""
         process = self._processes.pop(name)
@@ -169,8 +179,7 @@ class SlurmCluster:
             )
 
     def _end(self) -> None:
-        for pid in _task_processes(str(self._folder)):
-            os.kill(pid, 9)
+        self._kill_tasks()
         for process in reversed(self._processes.values()):
             process.terminate()
         for process in self._processes.values():
@@ -179,6 +188,12 @@ class SlurmCluster:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        self._kill_tasks()  # the controller may have started more
+
+    def _kill_tasks(self) -> None:
+        for pid in _task_processes(str(self._folder)):
+            with contextlib.suppress(ProcessLookupError):  # ended with the process before it
+                os.kill(pid, 9)
 
 
 def _task_processes(text: str) -> list[int]:

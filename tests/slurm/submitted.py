@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from coordinator.ledger.states import Event
 from tests.builders.engine_runs import archived, factory
 from tests.slurm.cluster import SlurmCluster
+from tests.slurm.leases import FALSE_ENDS, ends, held, waiting
 
 _LIMIT = "00:04:00"
 """Time limit of a task. Slurm sends the signal two to three minutes before its end."""
@@ -19,6 +23,8 @@ _SHORT_LIMIT = "00:02:00"
 _REQUEUED = "stopped before the run was finished: requeueing"
 """Line in the log of a task that has queued itself again before its time limit."""
 _PREEMPTED = "DUE TO PREEMPTION"
+_SESSION = re.compile(r"worker_started.* sid=(\S+)")
+"""Line in the log of a worker with the name under which the ledger knows it."""
 
 
 class Task(NamedTuple):
@@ -66,93 +72,118 @@ class SubmittedRun:
         for line in shown:
             number, node = line.split()
             if number.isdigit():
-                found.append(Task(int(number), node, self.restarts(int(number))))
+                found.append(Task(int(number), node, self.restarts(f"{self.array}_{number}")))
         return found
 
-    def restarts(self, task: int) -> int:
-        """Returns the number of times that a task was queued again."""
-        text = self._cluster.call("scontrol", "show", "job", f"{self.array}_{task}")
+    def restarts(self, job: str) -> int:
+        """Returns the number of times that a job was queued again."""
+        text = self._cluster.call("scontrol", "show", "job", job)
         found = re.search(r"Restarts=(\d+)", text)
         assert found is not None, text
         return int(found[1])
 
-    def productive(self, is_suitable: Callable[[Task], bool] = lambda _task: True) -> Task:
-        """Waits for a running task whose dataset has an episode, and returns it."""
+    def at_work(self, is_suitable: Callable[[Task], bool] = lambda _task: True) -> Task:
+        """Waits for a running task that simulates a job and whose dataset has an episode; returns it."""
         found: list[Task] = []
 
         def has_one() -> bool:
-            found[:] = [each for each in self.running() if is_suitable(each) and archived(self.dataset_of(each.number))]
+            found[:] = [each for each in self.running() if is_suitable(each) and self._works(each)]
             return bool(found)
 
-        self._cluster.wait(has_one, "a task with an episode")
+        self._cluster.wait(has_one, "a task with an episode and a job")
         return found[0]
 
     def cancel_one(self) -> int:
         """Cancels a task; returns its number."""
-        task = self.productive().number
-        self._cluster.call("scancel", f"{self.array}_{task}")
-        self._cluster.wait(lambda: self._state_of(task) == "CANCELLED", "the end of the cancelled task")
-        return task
+
+        def cancel(task: Task) -> None:
+            self._cluster.call("scancel", f"{self.array}_{task.number}")
+
+        def is_cancelled(task: Task) -> bool:
+            return self._state_of(task.number) == "CANCELLED"
+
+        return self._strike(cancel, is_cancelled).number
 
     def requeue_one(self) -> None:
         """Queues a running task again."""
-        task = self.productive()
-        self._requeue(f"{self.array}_{task.number}")
-        self._wait_for_restart(task)
+        self._strike(lambda task: self._requeue(f"{self.array}_{task.number}"), self._has_restarted)
 
     def requeue_coordinator(self) -> None:
-        """Queues the coordinator again, which then gets another port and a new certificate."""
-        self._cluster.wait(lambda: bool(self.node_of("coordinator")), "the coordinator")
-        self._requeue(str(self.jobs["coordinator"]))
+        """Queues the coordinator again while workers have jobs; it then gets another port and a new certificate."""
+        dataset, job = self.folder / "dataset", str(self.jobs["coordinator"])
+        self._resume()
+        self.at_work()
+        since, restarts = time.time(), self.restarts(job)
+        self._requeue(job)
+        self._cluster.wait(lambda: self.restarts(job) > restarts and not self.node_of("coordinator"), "the requeue")
+        done = archived(dataset)
+        assert waiting(dataset), "no job is left for the restarted coordinator"
+        self._cluster.wait(lambda: archived(dataset) > done, "an episode after the restart")
+        assert FALSE_ENDS.isdisjoint(ends(dataset, since))
 
     def preempt_one(self, excluded: str) -> None:
-        """Submits urgent jobs that take the whole node of a task, until one has preempted a task."""
+        """Submits an urgent job that takes the whole node of a task."""
         script = self.folder / "urgent.sh"
         script.write_text("#!/bin/bash\nsleep 2\n")
-        while not self._logged(_PREEMPTED):
-            task = self.productive(lambda each: each.node != excluded)
-            options = (
-                "--partition=high",
-                f"--nodelist={task.node}",
-                "--exclusive",
-                f"--output={self.folder}/urgent.log",
-            )
-            urgent = int(self._cluster.call("sbatch", "--parsable", *options, script))
-            self._wait_for_restart(task)
-            self._cluster.wait(lambda urgent=urgent: self._cluster.state_of(urgent) == "COMPLETED", "the urgent job")
+        urgent: list[int] = []
+
+        def preempt(task: Task) -> None:
+            options = ("--partition=high", f"--nodelist={task.node}", "--exclusive")
+            log = f"--output={self.folder}/urgent.log"
+            urgent.append(int(self._cluster.call("sbatch", "--parsable", *options, log, script)))
+
+        def is_over(task: Task) -> bool:
+            return self._has_restarted(task) and self._cluster.state_of(urgent[-1]) == "COMPLETED"
+
+        self._strike(preempt, is_over, is_suitable=lambda each: each.node != excluded)
+        assert self._logged(_PREEMPTED)
 
     def drain_node(self, excluded: str) -> None:
         """Drains the node of a task, as for maintenance: its tasks move to other nodes; then resumes the node."""
-        task = self.productive(lambda each: each.node != excluded)
-        self._cluster.call("scontrol", "update", f"nodename={task.node}", "state=drain", "reason=test")
-        for each in self.running():
-            if each.node == task.node:
-                self._requeue(f"{self.array}_{each.number}")
-        self._wait_for_restart(task)
-        self._cluster.wait(lambda: all(each.node != task.node for each in self.running()), "an empty node")
-        self._cluster.call("scontrol", "update", f"nodename={task.node}", "state=resume")
+
+        def drain(task: Task) -> None:
+            self._cluster.call("scontrol", "update", f"nodename={task.node}", "state=drain", "reason=test")
+            for each in self.running():
+                if each.node == task.node:
+                    self._requeue(f"{self.array}_{each.number}")
+
+        def is_empty(task: Task) -> bool:
+            return self._has_restarted(task) and all(each.node != task.node for each in self.running())
+
+        def resume(task: Task) -> None:
+            self._cluster.call("scontrol", "update", f"nodename={task.node}", "state=resume")
+
+        self._strike(drain, is_empty, resume, is_suitable=lambda each: each.node != excluded)
 
     def fail_node(self, excluded: str) -> None:
-        """Kills the node of a task with all its processes, and starts it again later."""
-        task = self.productive(lambda each: each.node != excluded)
-        self._cluster.kill_node(task.node)
-        self._wait_for_restart(task)
-        self._cluster.start_node(task.node)
+        """Kills the node of a task with all its processes, and starts it again later.
+
+        The processes cannot return their jobs, so that the leases expire.
+        """
+
+        self._strike(
+            lambda task: self._cluster.kill_node(task.node),
+            self._has_restarted,
+            lambda task: self._cluster.start_node(task.node),
+            is_suitable=lambda each: each.node != excluded,
+            end=Event.EXPIRED,
+        )
 
     def reach_time_limit(self) -> None:
-        """Shortens the time limit of running tasks until one has queued itself again before its end.
+        """Shortens the time limit of a running task, which queues itself again before its end.
 
         A fast machine finishes its tasks before their usual limit. The next run of the task has that limit again.
         """
-        while not self._logged(_REQUEUED):
-            task = self.productive()
-            name = f"{self.array}_{task.number}"
-            self._limit(name, _SHORT_LIMIT)
-            self._cluster.wait(
-                lambda task=task: self.restarts(task.number) > task.restarts or not self._runs(task.number),  # type: ignore[misc]
-                f"the time limit or the end of task {task.number}",
-            )
-            self._limit(name, _LIMIT)
+
+        def shorten(task: Task) -> None:
+            self._limit(f"{self.array}_{task.number}", _SHORT_LIMIT)
+            self._cluster.wait(lambda: not self._runs(task.number), "the signal before the time limit")
+
+        def lengthen(task: Task) -> None:
+            self._limit(f"{self.array}_{task.number}", _LIMIT)
+
+        self._strike(shorten, self._has_restarted, lengthen)
+        assert self._logged(_REQUEUED)
 
     def wait_for_end(self, job: str) -> str:
         """Waits until all tasks of a job have ended; returns their states."""
@@ -170,6 +201,87 @@ class SubmittedRun:
     def node_of(self, job: str) -> str:
         """Returns the node on which a job runs; empty if it does not run."""
         return self._cluster.call("squeue", "--noheader", f"--jobs={self.jobs[job]}", "--states=RUNNING", "--format=%N")
+
+    def _strike(
+        self,
+        event: Callable[[Task], None],
+        is_over: Callable[[Task], bool],
+        recover: Callable[[Task], None] = lambda _task: None,
+        *,
+        is_suitable: Callable[[Task], bool] = lambda _task: True,
+        end: Event = Event.RELEASED,
+    ) -> Task:
+        """Stops a task at work, and repeats this until a task has lost a job; returns that task.
+
+        The run is paused while Slurm reacts, so that jobs are left for the next event on a machine of any speed.
+
+        Args:
+            event: stops the task.
+            is_over: whether Slurm has reacted.
+            recover: ends the state that the event has caused.
+            is_suitable: whether the event may stop a task.
+            end: event with which the ledger must record that the task has lost a job.
+        """
+        while True:
+            self._resume()
+            task = self.at_work(is_suitable)
+            session, since = self._session(task), time.time()
+            event(task)
+            self._pause()
+            self._wait_for(task, is_over)
+            found = self._ends(task, session, since)
+            recover(task)
+            assert FALSE_ENDS.isdisjoint(found), found
+            if found[end]:
+                return task
+
+    def _wait_for(self, task: Task, is_over: Callable[[Task], bool]) -> None:
+        """Waits for the reaction to an event; a shard may finish before the event stops it."""
+        self._cluster.wait(
+            lambda: is_over(task) or self._state_of(task.number) == "COMPLETED", f"the reaction to an event of {task}"
+        )
+
+    def _ends(self, task: Task, session: str | None, since: float) -> Counter[str]:
+        """Waits until a stopped task holds no job, and returns the events of its jobs since a time."""
+        dataset = self.dataset_of(task.number)
+        left = held(dataset, session)
+        self._cluster.wait(lambda: left.isdisjoint(held(dataset, session)), f"the end of the jobs of {task}")
+        return ends(dataset, since, session)
+
+    def _works(self, task: Task) -> bool:
+        """Returns whether a task simulates a job; a task of a run that was stopped before has an episode, too."""
+        dataset = self.dataset_of(task.number)
+        return archived(dataset) > 0 and bool(held(dataset, self._session(task)))
+
+    def _session(self, task: Task) -> str | None:
+        """Returns the name of a worker in the ledger; `None` for a shard, which has a ledger for itself."""
+        if self._mode == "shards":
+            return None
+        found = _SESSION.findall((self.folder / "slurm" / f"workers-{task.number}.log").read_text())
+        return found[-1] if found else "none yet"
+
+    def _pause(self) -> None:
+        """Pauses the run as an operator does. A shard cannot be paused by the folder of its run."""
+        self._switch("pause")
+
+    def _resume(self) -> None:
+        self._switch("resume")
+
+    def _switch(self, action: str) -> None:
+        if self._mode == "shards":
+            return
+        keys = self.folder / "pki" / "operator"
+        if not keys.exists():
+            self._cluster.wait(lambda: bool(archived(self.folder / "dataset")), "an episode")
+            self._factory("keys", "host", keys.parent, keys.name, "--role", "operator")
+        self._factory("jobs", action, self.folder / "dataset", "--tls", keys)
+
+    def _factory(self, *words: object) -> None:
+        done = subprocess.run(factory(*words), capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+    def _has_restarted(self, task: Task) -> bool:
+        return self.restarts(f"{self.array}_{task.number}") > task.restarts
 
     def _requeue(self, job: str) -> None:
         """Queues a job again; one that has just queued itself again at its time limit stays as it is."""
@@ -189,6 +301,3 @@ class SubmittedRun:
 
     def _state_of(self, task: int) -> str:
         return self._cluster.state_of(f"{self.array}_{task}")
-
-    def _wait_for_restart(self, task: Task) -> None:
-        self._cluster.wait(lambda: self.restarts(task.number) > task.restarts, f"the restart of task {task.number}")

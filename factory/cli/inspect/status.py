@@ -23,7 +23,8 @@ def command(**options: Any) -> None:
     """Show the progress of a run and its workers.
 
     Prints the number of jobs by scene, tier and split, the rate, the remaining time and the workers. Give the dataset
-    (DIR or URL), or --connect. For a folder of shards, prints the last recorded state of each shard.
+    (DIR or URL), or --connect. For a folder of shards, prints the last recorded state of each shard. For the
+    folder of a run of `factory submit`, prints the state of its shards, or of its dataset once that exists.
     """
     from factory.commands.inspect.status import execute
 

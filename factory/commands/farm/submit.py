@@ -66,7 +66,7 @@ def slurm(
         return
     for script in scripts:
         click.echo(f"{script}: {f'job {ids[script.stem]}' if ids else 'not submitted'}")
-    click.echo(f"progress: factory status {run / 'shards' if mode == 'shards' else job.dataset}", err=True)
+    click.echo(f"progress: factory status {run}\ndataset: {job.dataset}, when the last job has ended", err=True)
 
 
 def _submit(job: SlurmJob, mode: Mode) -> dict[str, int]:

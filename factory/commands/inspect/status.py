@@ -14,14 +14,14 @@ from coordinator.protocol.tls import read_credentials
 from coordinator.validation.sandbox import SECCOMP
 from factory.commands.common.output import FittedTable, print_json, stdout
 from factory.commands.inspect.shard_status import draw_shards, shards_as_json
-from factory.dataset.site import Site
+from factory.dataset.site import Site, site_of
 from factory.runs.ledger import progress_of
 from factory.support.listen import require_endpoints
 from factory.support.text import format_duration
 from schemas.dataset.run_shard import find_shards
-from schemas.errors import TransientError, UsageError
+from schemas.errors import TransientError, UsageError, WorldError
 from schemas.protocol.status import HostStatus, Progress, WorkerStatus
-from schemas.storage.dataset_files import LEDGER_FILE
+from schemas.storage.dataset_files import LEDGER_FILE, is_dataset, is_submitted_run
 from schemas.terms import BUILTIN_CATEGORIES
 
 _PAUSE_S = 1.0
@@ -39,6 +39,7 @@ def execute(
     site: Site | None, connect: tuple[str, ...], ledger: str | None, watch: bool, tls: Path | None, as_json: bool
 ) -> None:
     """Executes `factory status`."""
+    site = None if site is None else _inside(site)
     shards = list(find_shards(site.place)) if site is not None and not connect and not _has_ledger(site, ledger) else []
     if shards:
         print_json(shards_as_json(shards)) if as_json else stdout.print(draw_shards(shards), soft_wrap=False)
@@ -50,6 +51,18 @@ def execute(
         watch_progress(source)
     else:
         stdout.print(draw_progress(source()), soft_wrap=False)
+
+
+def _inside(site: Site) -> Site:
+    """Returns the location of the dataset or of the shards if the location is the folder of a submitted run."""
+    run = site.place
+    if not isinstance(run, Path) or not is_submitted_run(run):
+        return site
+    if is_dataset(run / "dataset"):
+        return site_of(run / "dataset")
+    if not any(find_shards(run / "shards")):
+        raise WorldError(f"no task of {run} has started yet: see `squeue`, and the logs in {run / 'slurm'}")
+    return site_of(run / "shards")
 
 
 def _has_ledger(site: Site, ledger: str | None) -> bool:
