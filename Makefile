@@ -17,7 +17,7 @@ DOCS    := .venv-docs
 READY   := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
-.PHONY: test-engines test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
+.PHONY: install-slurm test-engines test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -140,16 +140,21 @@ $(READERS)/.ready: requirements.txt
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install --install -n $(JOBS) --dist loadgroup
 
-# a Slurm of Debian's packages slurm-wlm and munge with three nodes on loopback: arrays, cancel, requeue, preemption, time limit,
-# a failed node, and a dataset by shards and by workers; needs root and half an hour
-test-slurm: $(READY)
+# a Slurm of Debian's packages with three nodes on loopback: arrays, cancel, requeue, preemption, time limit, a failed node,
+# and a dataset by shards and by workers; needs root and half an hour
+test-slurm: $(READY) install-slurm
 	$(VENV)/bin/python -m pytest tests/slurm --slurm
 
 # 240 episodes as one run, as shards with kills, on Slurm with every event that stops a task, and on Ray with kills: one digest.
-# Needs what test-slurm and test-ray need, and about an hour on two cores
-test-engines: $(READY)
+# Needs root and about half an hour on two cores
+test-engines: $(READY) install-slurm
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check "ray>=2.60,<3"
 	$(VENV)/bin/python -m pytest tests/engines --engines
+
+# the daemons of Slurm are in /usr/sbin, which is not on the PATH of every user
+install-slurm:
+	@export PATH="$$PATH:/usr/sbin"; command -v slurmctld >/dev/null && command -v slurmd >/dev/null && command -v munged >/dev/null || \
+	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends slurm-wlm munge; }
 
 # a Ray cluster of two nodes on loopback: killed actors, workers and nodes; needs the extra `ray` and some minutes
 test-ray: $(READY)

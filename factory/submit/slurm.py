@@ -158,7 +158,10 @@ def submit(script: Path, *options: str) -> int:
             "--no-submit"
         ) from error
     if done.returncode:
-        raise WorldError(f"sbatch refused {script}: {' '.join(done.stderr.split())}")
+        raise WorldError(
+            f"sbatch refused {script}: {' '.join(done.stderr.split())}; `sinfo --format='%P %D %c'` lists partitions, "
+            "number of nodes and cores of a node"
+        )
     return int(done.stdout.strip().partition(";")[0])
 
 

@@ -1,6 +1,6 @@
 """240 episodes as one run, as 7 shards, on Slurm and on Ray, with kills: one digest, and no false failure.
 
-`make test-engines` runs these tests; they take an hour on two cores.
+`make test-engines` runs these tests; they take half an hour on two cores.
 """
 
 from __future__ import annotations
