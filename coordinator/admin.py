@@ -21,7 +21,7 @@ from schemas.protocol.address_file import read_address, remove_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import TlsFiles
 
-_PATIENCE_S, _PAUSE_S = 15.0, 0.5
+_PATIENCE_S, _PAUSE_S = 8.0, 0.5
 
 
 def administer(

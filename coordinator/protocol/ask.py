@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
@@ -68,7 +69,7 @@ def _ask(
     named = ", ".join(endpoints)
     payload = message.model_dump_json() if message is not None else ""
     try:
-        with zenoh.open(client_config(endpoints, CoordinatorSettings().transport_lease_s, tls)) as session:
+        with _open(endpoints, tls) as session:
             for reply in query(session, any_hello_key(name, verb), payload, _TIMEOUT_S):
                 return read_reply(reply, answer, f"the coordinator at {named}")
     except zenoh.ZError as error:
@@ -76,6 +77,21 @@ def _ask(
         raise TransientError(f"no coordinator at {named} ({cause}): start one, or check the endpoint") from error
     admitted = f", or it does not admit {name!r} (its hosts.txt)" if tls is not None else ""
     raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; try again")
+
+
+def _open(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Session:
+    """Connects to the first endpoint that accepts a connection.
+
+    One by one, because a name that this host cannot resolve would use up the time of the others.
+
+    Raises:
+        zenoh.ZError: no endpoint accepts a connection.
+    """
+    *others, last = endpoints
+    for endpoint in others:
+        with contextlib.suppress(zenoh.ZError):
+            return zenoh.open(client_config([endpoint], CoordinatorSettings().transport_lease_s, tls))
+    return zenoh.open(client_config([last], CoordinatorSettings().transport_lease_s, tls))
 
 
 def query(session: zenoh.Session, selector: str, payload: str | None, timeout_s: float) -> Iterator[bytes]:

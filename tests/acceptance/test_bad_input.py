@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+from pathlib import Path
 
 import pytest
 
-from tests.acceptance.factory_cli import episodes_in, wait_for
+from tests.acceptance.factory_cli import FactoryCli, episodes_in, wait_for
+from tests.builders.fork_server import ForkServer
 from tests.builders.ports import free_endpoint
 
 
@@ -155,3 +157,13 @@ def test_an_unknown_expert_is_refused_with_the_known_ones(factory, tmp_path):
     err = factory("run", "demo", "--expert", "wizard", "--out", tmp_path / "x", expect=2).stderr
     assert "planner" in err
     assert not (tmp_path / "x").exists()
+
+
+def test_a_required_renderer_without_its_driver_is_refused_once_before_the_run(
+    server: ForkServer, cache: Path, tmp_path: Path
+) -> None:
+    without_egl = FactoryCli(server, tmp_path / "home", cache, {"__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"})
+    refused = without_egl("run", "demo", "--renderer", "gl", "--out", tmp_path / "out", expect=1)
+    assert refused.stderr.count("OpenGL 4.5 with EGL is not available on this machine") == 1
+    assert "apt-get install libegl1 libgl1-mesa-dri" in refused.stderr
+    assert not (tmp_path / "out").exists()

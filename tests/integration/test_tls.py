@@ -223,6 +223,8 @@ def test_a_worker_certificate_is_not_accepted_as_a_coordinator_certificate(pki):
 def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_path):
     files = files_of(pki, "admin")
     assert ask_progress(hub.endpoints, "admin", files).planned == 2
+    unresolvable = "tls/name.invalid:7447"
+    assert ask_progress((unresolvable, *hub.endpoints), "admin", files).planned == 2
     request = AdminRequest(action=AdminAction.CANCEL, indices=(1,))
     assert administer(tmp_path / "out", request, datetime.now(UTC), name="admin", tls=files).changed == (1,)
     with WireWorker(hub.endpoints, hub.run, "admin", files) as claiming_peer:

@@ -54,6 +54,8 @@ class SubmittedRun:
         assert done.returncode == 0, done.stderr
         self.jobs: dict[str, int] = json.loads(done.stdout)["jobs"]
         self.array = self.jobs[mode]
+        if mode == "workers":  # `requeue_coordinator` queues it again, nothing else
+            self._limit(str(self.jobs["coordinator"]), "UNLIMITED")
 
     def dataset_of(self, task: int) -> Path:
         """Returns the dataset to which a task adds episodes."""

@@ -27,6 +27,7 @@ from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, scenes_before_run
 from factory.runs.local import LocalRun, run_locally
 from factory.runs.ray_engine import RayCluster
+from factory.runs.renderer import require_renderer
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
@@ -63,6 +64,8 @@ def execute(
     """Executes `factory run`."""
     configure_logs(verbose)
     _check_options(engine, address, http, evaluations)
+    if engine != "ray":  # its nodes render
+        require_renderer(renderer)
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
