@@ -16,10 +16,10 @@ from tests.builders.engine_runs import archived, factory
 from tests.slurm.cluster import SlurmCluster
 from tests.slurm.leases import FALSE_ENDS, ends, held, waiting
 
-_LIMIT = "00:04:00"
-"""Time limit of a task. Slurm sends the signal two to three minutes before its end."""
+_LIMIT = "01:00:00"
+"""Time limit of a task, which no task reaches."""
 _SHORT_LIMIT = "00:02:00"
-"""Time limit with which Slurm sends the signal at its next check."""
+"""Time limit with which Slurm sends the signal at its next check, which comes within half a minute."""
 _REQUEUED = "stopped before the run was finished: requeueing"
 """Line in the log of a task that has queued itself again before its time limit."""
 _PREEMPTED = "DUE TO PREEMPTION"
@@ -54,8 +54,6 @@ class SubmittedRun:
         assert done.returncode == 0, done.stderr
         self.jobs: dict[str, int] = json.loads(done.stdout)["jobs"]
         self.array = self.jobs[mode]
-        if mode == "workers":  # `requeue_coordinator` queues it again, nothing else
-            self._limit(str(self.jobs["coordinator"]), "UNLIMITED")
 
     def dataset_of(self, task: int) -> Path:
         """Returns the dataset to which a task adds episodes."""
@@ -172,10 +170,7 @@ class SubmittedRun:
         )
 
     def reach_time_limit(self) -> None:
-        """Shortens the time limit of a running task, which queues itself again before its end.
-
-        A fast machine finishes its tasks before their usual limit. The next run of the task has that limit again.
-        """
+        """Shortens the time limit of a running task, which queues itself again before its end."""
 
         def shorten(task: Task) -> None:
             self._limit(f"{self.array}_{task.number}", _SHORT_LIMIT)
