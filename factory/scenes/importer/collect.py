@@ -111,6 +111,8 @@ class Collector:
         ceiling_m = self.limits.ceiling_m
         added = [] if ceiling_m is None else [f"ceiling {ceiling_m}"]
         added += [] if self.limits.floor_m is None else [f"floor {self.limits.floor_m}"]
+        added += [] if self.limits.unit is None else [f"unit {self.limits.unit}"]
+        added += [] if self.limits.up is None else [f"up {self.limits.up}"]
         added += [self.reader_version] if self.reader_version else []
         return Extraction(
             parts=tuple(self.parts),

@@ -100,6 +100,14 @@ def test_a_unit_in_metres_scales_the_scene(tmp_path: Path) -> None:
         assert np.allclose(one.triangles / 2, half.triangles)
 
 
+def test_scenes_of_another_unit_or_up_axis_have_another_digest(tmp_path: Path) -> None:
+    path = write(tmp_path / "z.dae", dae_room(tmp_path))
+    limits = (StageLimits(), StageLimits(unit="m"), StageLimits(unit=0.5), StageLimits(up="y"), StageLimits(up="z"))
+    extractions = [extract_scene(path, each) for each in limits]
+    assert len({extraction.files_sha256 for extraction in extractions}) == len(limits)
+    assert len({extraction.sha256 for extraction in extractions}) == len(limits)
+
+
 def test_a_world_places_included_models_in_nested_frames(tmp_path: Path) -> None:
     box = "<geometry><box><size>1 1 1</size></box></geometry>"
     write(
