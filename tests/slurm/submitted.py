@@ -93,16 +93,16 @@ class SubmittedRun:
         self._cluster.wait(has_one, "a task with an episode and a job")
         return found[0]
 
-    def cancel_one(self) -> int:
-        """Cancels a task; returns its number."""
+    def cancel_one(self) -> str:
+        """Cancels a task, and another one if it had no job; returns their numbers, separated by commas."""
+        cancelled: list[int] = []
 
         def cancel(task: Task) -> None:
+            cancelled.append(task.number)
             self._cluster.call("scancel", f"{self.array}_{task.number}")
 
-        def is_cancelled(task: Task) -> bool:
-            return self._state_of(task.number) == "CANCELLED"
-
-        return self._strike(cancel, is_cancelled).number
+        self._strike(cancel, lambda task: self._state_of(task.number) == "CANCELLED")
+        return ",".join(map(str, cancelled))
 
     def requeue_one(self) -> None:
         """Queues a running task again."""
@@ -207,8 +207,8 @@ class SubmittedRun:
         *,
         is_suitable: Callable[[Task], bool] = lambda _task: True,
         end: Event = Event.RELEASED,
-    ) -> Task:
-        """Stops a task at work, and repeats this until a task has lost a job; returns that task.
+    ) -> None:
+        """Stops a task at work, and repeats this until a task has lost a job.
 
         The run is paused while Slurm reacts, so that jobs are left for the next event on a machine of any speed.
 
@@ -230,7 +230,7 @@ class SubmittedRun:
             recover(task)
             assert FALSE_ENDS.isdisjoint(found), found
             if found[end]:
-                return task
+                return
 
     def _wait_for(self, task: Task, is_over: Callable[[Task], bool]) -> None:
         """Waits for the reaction to an event; a shard may finish before the event stops it."""
