@@ -62,7 +62,7 @@ def administer(
 
 
 def _ask_coordinator(root: Path, request: AdminRequest, name: str, tls: TlsFiles | None) -> AdminReply | None:
-    """Sends a request to the coordinator that holds a directory; returns `None` if none holds it.
+    """Sends a request to the coordinator of a directory; returns `None` if none runs.
 
     A request without an answer is sent again for some seconds, because a coordinator reads its admission list every
     two seconds and then closes all connections once.

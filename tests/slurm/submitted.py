@@ -239,7 +239,7 @@ class SubmittedRun:
         )
 
     def _ends(self, task: Task, session: str | None, since: float) -> Counter[str]:
-        """Waits until a stopped task holds no job, and returns the events of its jobs since a time."""
+        """Waits until a stopped task has no job, and returns the events of its jobs since a time."""
         dataset = self.dataset_of(task.number)
         left = held(dataset, session)
         self._cluster.wait(lambda: left.isdisjoint(held(dataset, session)), f"the end of the jobs of {task}")
