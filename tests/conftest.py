@@ -12,6 +12,7 @@ import pytest
 
 from tests.acceptance.factory_cli import FactoryCli, start_server
 from tests.builders.fork_server import ForkServer
+from tests.builders.layouts import Layouts
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
 from tests.builders.process_state import unchanged_process
@@ -63,6 +64,14 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cache(shared: Path) -> Path:
     """Cache (`MINIVLA_CACHE`) shared by the tests of one session: each built-in scene is compiled once."""
     return shared / "cache"
+
+
+@pytest.fixture(scope="session")
+def layouts(shared: Path) -> Layouts:
+    """Layouts of the built-in families, each laid out once; tests only read them."""
+    folder = shared / "layouts"
+    folder.mkdir(exist_ok=True)
+    return Layouts(folder)
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ import re
 import tokenize
 import tomllib
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -53,7 +54,7 @@ def python_text(source: str) -> Iterator[tuple[int, str]]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
             yield node.lineno, node.value
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+    for token in tokenize.generate_tokens(io.StringIO(source).readline) if "#" in source else ():
         if token.type == tokenize.COMMENT:
             yield token.start[0], token.string
 
@@ -65,6 +66,7 @@ def text_of(path: Path) -> list[tuple[int, str]]:
     return [(line, TEMPLATE_CODE.sub("", text)) for line, text in enumerate(source.splitlines(), 1)]
 
 
+@cache
 def files() -> list[Path]:
     found = [*PAGES, *(ROOT / name for name in OTHER_FILES)]
     for package in PACKAGES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Collection
 from pathlib import Path
@@ -14,6 +15,8 @@ from schemas.support.foreign import PARSER_ERRORS, path_trouble
 from schemas.support.suggest import did_you_mean
 
 _MOST_BYTES = 4 << 20
+_DEEP_KEY = re.compile(r"^[ \t]*\[{0,2}(?:[ \t]*[\w-]+[ \t]*\.){1000}", re.ASCII | re.MULTILINE)
+"""Key with more parts than any model has; `tomllib` reads it in a time that grows with the square of their number."""
 
 
 def read_toml(path: Path, noun: str, refusal: type[Findings]) -> dict[str, Any]:
@@ -30,7 +33,10 @@ def read_toml(path: Path, noun: str, refusal: type[Findings]) -> dict[str, Any]:
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise refusal(f"{path} is not a {noun}", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if _DEEP_KEY.search(text):
+            raise RecursionError
+        return tomllib.loads(text)
     except FactoryError:
         raise
     except RecursionError as error:

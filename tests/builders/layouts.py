@@ -1,8 +1,9 @@
-"""Floor plans of the built-in families, laid out once in a process, and the boxes of their pieces."""
+"""Floor plans of the built-in families, laid out once in a session, and the boxes of their pieces."""
 
 from __future__ import annotations
 
-from functools import cache
+import pickle
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,23 +12,43 @@ from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
 from factory.scenes.author.placement import FloorPlan, PropPlacement
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
+from tests.builders.shared import build_once
 
 FAMILIES = tuple(BUILTIN_SCENES)
 SEEDS = range(6)
+_FILE = "layout.pickle"
 
 
-@cache
-def laid_out(name: str, seed: int) -> FloorPlan | None:
-    """Returns a layout, which is only read; `None` if the seed has none."""
+class Layouts:
+    """Layouts by family and seed, shared by the processes of a session; each process reads its own copies.
+
+    Args:
+        folder: existing folder for the stored layouts.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read: dict[tuple[str, int], FloorPlan | None] = {}
+
+    def __getitem__(self, key: tuple[str, int]) -> FloorPlan | None:
+        """Returns the layout of a family and a seed; `None` if the seed has none."""
+        if key not in self._read:
+            stored = build_once(self._folder / f"{key[0]}-{key[1]}", lambda folder: _store(folder, *key))
+            self._read[key] = pickle.loads((stored / _FILE).read_bytes())
+        return self._read[key]
+
+    def of(self, name: str) -> dict[int, FloorPlan]:
+        """Returns the layouts of a family by their seeds."""
+        return {seed: plan for seed in SEEDS if (plan := self[name, seed]) is not None}
+
+
+def _store(folder: Path, name: str, seed: int) -> None:
     try:
-        return lay_out_scene(BUILTIN_SCENES[name], seed)
+        plan = lay_out_scene(BUILTIN_SCENES[name], seed)
     except WorldError:
-        return None
-
-
-def layouts_of(name: str) -> dict[int, FloorPlan]:
-    """Returns the layouts of a family by their seeds."""
-    return {seed: plan for seed in SEEDS if (plan := laid_out(name, seed)) is not None}
+        plan = None
+    folder.mkdir()
+    (folder / _FILE).write_bytes(pickle.dumps(plan))
 
 
 def piece_boxes(plan: FloorPlan) -> Floats:

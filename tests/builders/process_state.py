@@ -20,6 +20,8 @@ RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
 OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Variables that pytest itself changes between the phases of a test."""
 
+_SIGNALS = frozenset(signal.valid_signals() - {signal.SIGALRM})
+
 
 @dataclass(frozen=True)
 class ProcessState:
@@ -39,7 +41,7 @@ class ProcessState:
     @classmethod
     def now(cls) -> ProcessState:
         """Reads the state of this process."""
-        handlers = {number: signal.getsignal(number) for number in signal.valid_signals() - {signal.SIGALRM}}
+        handlers = {number: signal.getsignal(number) for number in _SIGNALS}
         return cls(
             variables={name: value for name, value in os.environ.items() if name not in OF_PYTEST},
             folder=Path.cwd(),

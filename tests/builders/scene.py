@@ -183,7 +183,7 @@ def _largest_open_area(occupancy: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _target(index: int, box: Box, grid: _Grid, spawns: NDArray[np.float32]) -> tuple[Target, NDArray[np.uint8]]:
     low, high = np.array(box.low), np.array(box.high)
     centre = (low + high) / 2
-    sees = np.array([_is_straight_free(grid, spawn, centre[:2]) for spawn in spawns], np.uint8)
+    sees = _are_straight_free(grid, spawns, centre[:2]).astype(np.uint8)
     distances = np.linalg.norm(spawns - centre[:2], axis=1)
     assert box.category is not None
     target = Target(
@@ -202,13 +202,16 @@ def _target(index: int, box: Box, grid: _Grid, spawns: NDArray[np.float32]) -> t
     return target, sees
 
 
-def _is_straight_free(grid: _Grid, spawn: NDArray[np.float32], centre: NDArray[np.float64]) -> bool:
-    gap = centre - spawn
-    distance = float(np.linalg.norm(gap))
-    if distance <= _SUCCESS_M:
-        return False
-    steps = np.arange(0.0, distance - _SUCCESS_M, _CELL_M)[:, None]
-    return bool(grid.holds(spawn + steps * gap / distance).all())
+def _are_straight_free(grid: _Grid, spawns: NDArray[np.float32], centre: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Returns for each of (N, 2) starts whether the straight way to the success radius of a target is on the floor."""
+    gaps = centre - spawns
+    distances = np.linalg.norm(gaps, axis=1)[:, None]
+    steps = np.arange(0.0, distances.max(initial=0.0), _CELL_M)
+    ways = spawns[:, None] + steps[:, None] * gaps[:, None] / np.maximum(distances, _SUCCESS_M)[:, None]
+    is_free: NDArray[np.bool_] = grid.holds(ways.reshape(-1, 2)).reshape(ways.shape[:2]) | (
+        steps >= distances - _SUCCESS_M
+    )
+    return (distances[:, 0] > _SUCCESS_M) & is_free.all(axis=1)
 
 
 def _tiers(distances: NDArray[np.floating]) -> tuple[Tier, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.author.placement import FloorPlan, PropPlacement, footprint
-from tests.builders.layouts import FAMILIES, Solid, layouts_of, penetration, wall_boxes, world_points
+from tests.builders.layouts import FAMILIES, Layouts, Solid, penetration, wall_boxes, world_points
 
 MOST_INTO_M = 0.05
 """A worktop covers the foot of a window, and arm rests are under a desk."""
@@ -42,15 +42,15 @@ def intersections(plan: FloorPlan) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_no_two_props_intersect(name: str) -> None:
-    found = {seed: list(intersections(plan)) for seed, plan in layouts_of(name).items()}
+def test_no_two_props_intersect(name: str, layouts: Layouts) -> None:
+    found = {seed: list(intersections(plan)) for seed, plan in layouts.of(name).items()}
     assert {seed: pairs for seed, pairs in found.items() if pairs} == {}
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_objects_on_furniture_have_a_surface_below_them(name: str) -> None:
+def test_objects_on_furniture_have_a_surface_below_them(name: str, layouts: Layouts) -> None:
     floating = []
-    for seed, plan in layouts_of(name).items():
+    for seed, plan in layouts.of(name).items():
         standing = [placement for placement in plan.placements if placement.z <= 0.3]
         boxes = [np.array([(p.min(axis=0), p.max(axis=0)) for p in world_points(placement)]) for placement in standing]
         for thing in plan.placements:
@@ -64,9 +64,9 @@ def test_objects_on_furniture_have_a_surface_below_them(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_wall_objects_are_attached_to_a_wall(name: str) -> None:
+def test_wall_objects_are_attached_to_a_wall(name: str, layouts: Layouts) -> None:
     floating = []
-    for seed, plan in layouts_of(name).items():
+    for seed, plan in layouts.of(name).items():
         walls = wall_boxes(plan)
         for thing in filter(is_on_wall, plan.placements):
             if thing.model.name.startswith("SM_Pennants"):
@@ -81,8 +81,8 @@ def test_wall_objects_are_attached_to_a_wall(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_no_large_furniture_blocks_a_door_or_covers_a_window(name: str) -> None:
-    for plan in layouts_of(name).values():
+def test_no_large_furniture_blocks_a_door_or_covers_a_window(name: str, layouts: Layouts) -> None:
+    for plan in layouts.of(name).values():
         windows = [
             p.floor_box for p in plan.placements if p.model.name.startswith("SM_Window") and p.model.low[2] < 2.0
         ]

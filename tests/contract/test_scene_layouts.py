@@ -16,7 +16,7 @@ from factory.scenes.author.placement import FloorPlan
 from factory.scenes.navigation.occupancy import BAND_M
 from factory.scenes.rules import builtin_rules
 from schemas.terms import BUILTIN_CATEGORIES, PAPER_SCENES
-from tests.builders.layouts import FAMILIES, SEEDS, laid_out, layouts_of, piece_boxes
+from tests.builders.layouts import FAMILIES, SEEDS, Layouts, piece_boxes
 from workers.geometry.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
 
 CELL_M = 0.05
@@ -70,9 +70,11 @@ def test_a_layout_of_the_paper_has_one_connected_floor_that_reaches_each_categor
 
 
 @pytest.mark.parametrize("name", PAPER_SCENES)
-def test_every_seed_has_one_connected_floor_that_reaches_each_category(name: str, pytestconfig: pytest.Config) -> None:
+def test_every_seed_has_one_connected_floor_that_reaches_each_category(
+    name: str, pytestconfig: pytest.Config, layouts: Layouts
+) -> None:
     for seed in range(max(len(SEEDS), pytestconfig.getoption("--scene-seeds"))):
-        plan = laid_out(name, seed)
+        plan = layouts[name, seed]
         assert plan is not None, f"seed {seed} has no layout"
         require_reach(plan, name)
 
@@ -87,11 +89,13 @@ def require_reach(plan: FloorPlan, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_most_seeds_of_a_family_have_one_connected_floor_that_reaches_each_category(name: str) -> None:
+def test_most_seeds_of_a_family_have_one_connected_floor_that_reaches_each_category(
+    name: str, layouts: Layouts
+) -> None:
     faults: dict[int, object] = {}
     wanted = {category for group in BUILTIN_CATEGORIES[name] for category in group}
     for seed in SEEDS:
-        plan = laid_out(name, seed)
+        plan = layouts[name, seed]
         if plan is None:
             faults[seed] = "no division"
             continue
@@ -103,8 +107,8 @@ def test_most_seeds_of_a_family_have_one_connected_floor_that_reaches_each_categ
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_layouts_of_a_family_differ_in_rooms_doors_and_finishes(name: str) -> None:
-    plans = list(layouts_of(name).values())
+def test_layouts_of_a_family_differ_in_rooms_doors_and_finishes(name: str, layouts: Layouts) -> None:
+    plans = list(layouts.of(name).values())
     graphs = {tuple((room.kind, tuple(sorted(room.neighbours))) for room in plan.rooms) for plan in plans}
     assert len(graphs) >= len(plans) - 1
     finishes = {frozenset(piece.material.name for part in plan.structures for piece in part.pieces) for plan in plans}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -48,7 +49,13 @@ def loft(rings: Floats) -> AuthoredMesh:
     Args:
         rings: (m, n, 3) metres; each ring counter-clockwise seen from the end of the stack.
     """
-    levels, sides = rings.shape[:2]
+    counts, indices = _loft_faces(*rings.shape[:2])
+    return AuthoredMesh(rings.reshape(-1, 3).astype(np.float64), counts, indices)
+
+
+@lru_cache(maxsize=1024)
+def _loft_faces(levels: int, sides: int) -> tuple[Ints, Ints]:
+    """Returns the corners per polygon and the point of each corner of a loft, which its meshes share, read-only."""
     ring = np.arange(sides)
     following = (ring + 1) % sides
     walls = [
@@ -58,7 +65,10 @@ def loft(rings: Floats) -> AuthoredMesh:
     quads = np.concatenate(walls)
     caps = np.concatenate([ring[::-1], (levels - 1) * sides + ring])
     counts = np.array([4] * len(quads) + [sides, sides], dtype=np.int64)
-    return AuthoredMesh(rings.reshape(-1, 3).astype(np.float64), counts, np.concatenate([quads.ravel(), caps]))
+    indices = np.concatenate([quads.ravel(), caps])
+    for shared in (counts, indices):
+        shared.flags.writeable = False
+    return counts, indices
 
 
 def block(low: Vector, high: Vector) -> AuthoredMesh:
@@ -131,13 +141,19 @@ def lathe(
     profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = 14
 ) -> AuthoredMesh:
     """Revolves a profile of (radius, z), listed bottom to top, around the vertical axis through `at`."""
-    angle = 2 * math.pi * np.arange(sides) / sides
-    circle = np.stack([portable.cos(angle), portable.sin(angle)], axis=1)
+    circle = np.stack(_circle(sides, 0.0), axis=1)
     rings = np.empty((len(profile), sides, 3))
     for level, (radius, z) in enumerate(profile):
         rings[level, :, :2] = circle * max(radius, 1e-3) + np.array(at)
         rings[level, :, 2] = z
     return loft(rings)
+
+
+@lru_cache(maxsize=256)
+def _circle(sides: int, shift: float) -> tuple[Floats, Floats]:
+    """Returns the cosines and sines of the corners of a regular polygon, turned by `shift` sides; only read them."""
+    angle = 2 * math.pi * (np.arange(sides) + shift) / sides
+    return portable.cos(angle), portable.sin(angle)
 
 
 def cylinder(
@@ -160,13 +176,13 @@ def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> AuthoredMesh:
     along = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     aside = np.array([0.0, 0.0, 1.0]) if abs(along[0, 2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    angle = 2 * math.pi * (np.arange(sides) + 0.5) / sides
+    cos, sin = _circle(sides, 0.5)
     rings = np.empty((len(points), sides, 3))
     for level, direction in enumerate(along):
-        u = np.cross(aside, direction)
+        u = cross(aside, direction)
         u /= np.linalg.norm(u[None], axis=1)
-        v = np.cross(direction, u)
-        rings[level] = points[level] + radius * (portable.cos(angle)[:, None] * u + portable.sin(angle)[:, None] * v)
+        v = cross(direction, u)
+        rings[level] = points[level] + radius * (cos[:, None] * u + sin[:, None] * v)
         aside = v
     return loft(rings)
 

@@ -90,6 +90,11 @@ class PropPlacement:
         """Axis-aligned footprint, metres."""
         return footprint(self.model, self.x, self.y, self.yaw)
 
+    @cached_property
+    def heights(self) -> tuple[float, float]:
+        """Heights of its lowest and highest point, metres."""
+        return float(self.model.low[2]) + self.z, float(self.model.high[2]) + self.z
+
 
 class RoomRecord(NamedTuple):
     """Room of a layout, for statistics: use, floor between the wall faces, numbers of the rooms behind its doors."""
@@ -162,7 +167,8 @@ class FloorPlan:
             return None
         if any(print_.overlaps(zone) for zone in self.kept_clear):
             return None
-        if not share and any(print_.grown(clearance).overlaps(other) for other in self.taken):
+        wide = print_.grown(clearance)
+        if not share and any(wide.overlaps(other) for other in self.taken):
             return None
         return self.stand(model, x, y, yaw)
 
@@ -246,13 +252,15 @@ class FloorPlan:
 
     def meets(self, model: PropModel, x: float, y: float, yaw: float, margin: float = 0.05) -> bool:
         """Returns whether the rotated box of the model, with a margin in metres, intersects that of a placed model."""
-        print_ = footprint(model, x, y, yaw).grown(margin)
-        return any(
-            other.model.low[2] + other.z < model.high[2]
-            and model.low[2] < other.model.high[2] + other.z
-            and print_.overlaps(other.floor_box)
-            for other in self.placements
-        )
+        x0, y0, x1, y1 = footprint(model, x, y, yaw).grown(margin)
+        low, high = float(model.low[2]), float(model.high[2])
+        for other in self.placements:  # thousands of calls with hundreds of placements: `overlaps` without its call
+            left, front, right, back = other.floor_box
+            if x0 < right and left < x1 and y0 < back and front < y1:
+                bottom, top = other.heights
+                if bottom < high and low < top:
+                    return True
+        return False
 
     def in_corner(
         self, model: PropModel, room: Rectangle, corner: int, clearance: float = 0.1, avoid: bool = False
@@ -297,7 +305,8 @@ class FloorPlan:
 def footprint(model: PropModel, x: float, y: float, yaw: float) -> Rectangle:
     """Returns the axis-aligned footprint of a rotated model, metres."""
     c, s = math.cos(yaw), math.sin(yaw)
-    corners = [(a, b) for a in (model.low[0], model.high[0]) for b in (model.low[1], model.high[1])]
+    (x0, y0, _), (x1, y1, _) = model.low.tolist(), model.high.tolist()
+    corners = [(a, b) for a in (x0, x1) for b in (y0, y1)]
     xs = [x + c * a - s * b for a, b in corners]
     ys = [y + s * a + c * b for a, b in corners]
     return Rectangle(min(xs), min(ys), max(xs), max(ys))

@@ -176,11 +176,13 @@ def test_mixed_units_are_noted_by_layer(tmp_path: Path) -> None:
 
 
 SPOILING = """
+import resource
 import sys
 from pathlib import Path
 import numpy as np
 from factory.scenes.importer.extract import extract_stage
 from schemas.errors import WorldError
+resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))  # a wrong size must not use all memory of the machine
 good = Path(sys.argv[1]).read_bytes()
 rng = np.random.default_rng(0)
 for k in range(40):

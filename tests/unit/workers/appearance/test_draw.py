@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from schemas.appearance import (
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.rig import Mount, PinholeCamera
+from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from tests.builders.lit import lit_room, room_light
 from workers.appearance import (
@@ -33,8 +35,15 @@ from workers.appearance.materials import SceneSurfaces
 from workers.geometry.grid import DISC_OFFSETS_M
 
 FULL = Appearance(light=LightRanges(), materials=MaterialRanges(), camera=CameraRanges(), clutter=ClutterRanges())
-PLACE = AppearanceScene(lit_room(), room_light())
-TARGET = lit_room().info.targets[0]
+
+
+@cache
+def place() -> AppearanceScene:
+    return AppearanceScene(lit_room(), room_light())
+
+
+def target() -> Target:
+    return lit_room().info.targets[0]
 
 
 def drive() -> Floats:
@@ -45,7 +54,7 @@ def drive() -> Floats:
 
 
 def drawn(ranges: Appearance = FULL, seed: int = 1, episode: int = 1):
-    return draw_appearance(ranges, seed, episode, PLACE, TARGET, drive())
+    return draw_appearance(ranges, seed, episode, place(), target(), drive())
 
 
 def test_factors_depend_on_seed_episode_and_factor_only() -> None:
@@ -100,7 +109,7 @@ def test_clutter_keeps_its_distance_from_the_footprint_and_from_the_view_of_the_
             assert gaps.min() >= 0.29 + 0.2 + radius
             bearing = math.atan2(thing.y_m - poses[-1, 1], thing.x_m - poses[-1, 0])
             distance = math.hypot(thing.x_m - poses[-1, 0], thing.y_m - poses[-1, 1])
-            to_target = math.atan2(TARGET.centroid_m[1] - 0.6, TARGET.centroid_m[0] - 1.2)
+            to_target = math.atan2(target().centroid_m[1] - 0.6, target().centroid_m[0] - 1.2)
             if distance < 1.2:
                 assert abs(bearing - to_target) > math.asin(min(1.0, radius / distance))
             placed += 1

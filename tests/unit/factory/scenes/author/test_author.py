@@ -30,7 +30,7 @@ from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
 from factory.scenes.importer import TextureRecipe
 from factory.scenes.rules import builtin_rules
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
-from tests.builders.layouts import layouts_of
+from tests.builders.layouts import Layouts
 
 pxr_usd = pytest.importorskip("pxr.Usd")
 pxr_geom = pytest.importorskip("pxr.UsdGeom")
@@ -97,10 +97,10 @@ def test_every_category_occurs_at_least_four_times_in_the_layout_of_the_paper(na
 
 
 @pytest.mark.parametrize("name", PAPER_SCENES)
-def test_layouts_have_the_listed_categories_and_no_others_of_the_paper(name: str) -> None:
+def test_layouts_have_the_listed_categories_and_no_others_of_the_paper(name: str, layouts: Layouts) -> None:
     wanted = {*BUILTIN_CATEGORIES[name].seen, *BUILTIN_CATEGORIES[name].held_out}
     others: set[str] = set()
-    for plan in layouts_of(name).values():
+    for plan in layouts.of(name).values():
         counts = count_categories(plan)
         assert wanted <= set(counts)
         others |= set(counts) - wanted
@@ -109,15 +109,15 @@ def test_layouts_have_the_listed_categories_and_no_others_of_the_paper(name: str
 
 
 @pytest.mark.parametrize("name", BUILTIN_SCENES)
-def test_scene_stays_below_its_triangle_budget(name: str) -> None:
-    plan = layouts_of(name)[0]
+def test_scene_stays_below_its_triangle_budget(name: str, layouts: Layouts) -> None:
+    plan = layouts.of(name)[0]
     pieces = [piece for structure in plan.structures for piece in structure.pieces]
     pieces += [piece for placement in plan.placements for piece in placement.model.pieces]
     assert sum(triangle_count(piece.mesh) for piece in pieces) < 62_000
 
 
-def test_seeds_give_different_layouts() -> None:
-    first, second = layouts_of("hospital")[0], layouts_of("hospital")[1]
+def test_seeds_give_different_layouts(layouts: Layouts) -> None:
+    first, second = layouts.of("hospital")[0], layouts.of("hospital")[1]
     assert [(p.name, p.x, p.y) for p in first.placements] != [(p.name, p.x, p.y) for p in second.placements]
 
 
