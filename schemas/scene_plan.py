@@ -64,8 +64,8 @@ class ScenePlan(Model):
     """Path of an edited `targets_<scene>.yaml`, relative to the plan file."""
     allow_outside: bool = False
     """Whether files of a custom scene may be stored outside its folder."""
-    unit: Literal["m", "cm", "mm", "in"] | None = None
-    """Unit of a custom scene; null is the unit that the file states."""
+    unit: Literal["m", "cm", "mm", "in"] | Annotated[float, Field(ge=1e-6, le=1e6)] | None = None
+    """Unit of a custom scene, by name or as its length in metres; null is the unit that the file states."""
     up: Literal["y", "z"] | None = None
     """Axis of a custom scene that points up; null is the axis that the file states."""
     models: tuple[str, ...] = ()

@@ -11,8 +11,9 @@ from typing import Literal
 
 MAX_TRIANGLES = 10_000_000
 MAX_FILE_MB = 1000
-Unit = Literal["m", "cm", "mm", "in"]
-"""Unit of a file that does not state it."""
+UnitName = Literal["m", "cm", "mm", "in"]
+Unit = UnitName | float
+"""Unit of a file: its name, or its length in metres."""
 UpAxis = Literal["y", "z"]
 """Axis of a file that points up."""
 
@@ -28,7 +29,7 @@ class StageLimits:
     ceiling_m: float | None = None
     """Height above the floor of a flat ceiling that is added over the stage, metres; `None` adds none."""
     unit: Unit | None = None
-    """Unit of a 3D file; `None` is the unit that it states."""
+    """Unit of a 3D file, by name or in metres; `None` is the unit that it states."""
     up: UpAxis | None = None
     """Up axis of a 3D file; `None` is the axis that it states."""
     models: tuple[Path, ...] = ()

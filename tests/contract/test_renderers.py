@@ -435,3 +435,15 @@ def test_measurements_from_parts_equal_those_from_the_frame() -> None:
 def test_a_depth_and_id_frame_requires_a_scene(new_renderer: Renderer) -> None:
     with pytest.raises(UsageError, match="load"):
         new_renderer.render_depth_and_ids(ORIGIN)
+
+
+def test_frames_after_room_was_made_are_those_of_a_new_renderer(renderer: Renderer) -> None:
+    scene = furnished_room()
+    renderer.load(scene, CAMERA)
+    first = renderer.render(ORIGIN)
+    for _ in range(3):  # more often than there are prepared scenes
+        renderer.make_room()
+    renderer.load(scene, CAMERA)
+    again = renderer.render(ORIGIN)
+    for name in ("rgb", "depth", "ids"):
+        assert np.array_equal(getattr(first, name), getattr(again, name))

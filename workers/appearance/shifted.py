@@ -42,6 +42,10 @@ class ShiftedRenderer(Closing):
         self._camera = camera
         self._renderer.load_by_key(key, read, camera)
 
+    def make_room(self) -> None:
+        """Frees prepared scenes of the other renderer; see `Renderer`."""
+        self._renderer.make_room()
+
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the image of the recorded camera with its change."""
         image = self.render_camera(recorded_camera(self._camera, size or self._size), pose)

@@ -132,6 +132,12 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
             camera: camera of the robot.
         """
 
+    def make_room(self) -> None:
+        """Frees the prepared scenes that the next new scene replaces, so that it is read with less memory.
+
+        If this frees the selected scene, `load` must select one before the next frame.
+        """
+
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
 

@@ -111,6 +111,14 @@ class GlRenderer(Closing):
             self._scene = self._shelf.take(key, read)
         self._sky = SkyPainter(self._scene.sky)
 
+    def make_room(self) -> None:
+        """Frees the prepared scenes that the next new scene replaces; see `Renderer`."""
+        self._require_own_process()
+        with self._context:
+            self._shelf.make_room()
+        if not self._shelf.keys:  # the selected scene is the one used last, so it is freed with all others only
+            self._scene = None
+
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns the camera image for a pose of base_link.
 

@@ -45,11 +45,15 @@ class PreparedSceneCache(Generic[Scene, Prepared]):
             read: returns the scene; called on a cache miss, and referenced while the scene is prepared.
         """
         if key not in self._kept:
-            while len(self._kept) >= self._capacity:
-                self._kept.popitem(last=False)[1][1].close()
+            self.make_room()
             self._kept[key] = (read, self._prepare(read()))
         self._kept.move_to_end(key)
         return self._kept[key][1]
+
+    def make_room(self) -> None:
+        """Closes the least recently used scenes until one more fits."""
+        while len(self._kept) >= self._capacity:
+            self._kept.popitem(last=False)[1][1].close()
 
     def clear(self) -> None:
         """Closes all prepared scenes and empties the cache."""

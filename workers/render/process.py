@@ -78,6 +78,10 @@ class ProcessRenderer(Closing):
         """
         self._process.ask(RequestKind.LOAD, scene=self._shelf.take(key, read).number, camera=camera)
 
+    def make_room(self) -> None:
+        """Frees the stored packages that the next new scene replaces; see `Renderer`."""
+        self._shelf.make_room()
+
     @property
     def prepared(self) -> tuple[Hashable, ...]:
         """Keys of the prepared scenes, the most recently used one last."""

@@ -119,6 +119,7 @@ class SceneRenderer(Closing):
             InvalidBundle: the package or the light groups are damaged or have another format version.
         """
         if sha256 not in self._loaded:
+            self.renderer.make_room()
             while len(self._loaded) >= self._kept_scenes:  # before reading, so that no further scene is in memory
                 self._loaded.popitem(last=False)
             self._loaded[sha256] = prepare_scene(read_scene(path))

@@ -3,12 +3,41 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, get_args
 
 import click
 from click.shell_completion import CompletionItem
 
 from factory.cli.common.options import count_option
+from factory.scenes.limits import Unit, UnitName
 from schemas.terms import BUILTIN_CATEGORIES
+
+_UNITS = get_args(UnitName)
+_UNIT_RANGE_M = (1e-6, 1e6)
+
+
+class UnitType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
+    """Unit of a file: `m`, `cm`, `mm`, `in`, or a number as its length in metres."""
+
+    name = "unit"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Unit:
+        """Returns the name, or the length in metres; other values are a usage error."""
+        if isinstance(value, float) or value in _UNITS:
+            return value  # type: ignore[no-any-return]  # click gives strings and defaults only
+        try:
+            metres = float(value)
+        except ValueError:
+            metres = 0.0
+        least, most = _UNIT_RANGE_M
+        if not least <= metres <= most:
+            self.fail(f"{value!r}: give {', '.join(_UNITS)}, or metres from {least:g} to {most:g}", param, ctx)
+        return metres
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        """Completes the names."""
+        return [CompletionItem(name) for name in _UNITS if name.startswith(incomplete)]
+
 
 seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in scene.", least=0)
 

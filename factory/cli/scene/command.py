@@ -16,8 +16,8 @@ from factory.cli.scene import list as scene_list
 from factory.cli.scene import render as scene_render
 from factory.cli.scene import survey as scene_survey
 from factory.cli.scene import targets as scene_targets
-from factory.cli.scene.choice import file_argument, seed_option
-from factory.scenes.limits import MAX_FILE_MB, MAX_TRIANGLES, Unit, UpAxis
+from factory.cli.scene.choice import UnitType, file_argument, seed_option
+from factory.scenes.limits import MAX_FILE_MB, MAX_TRIANGLES, UpAxis
 
 
 @click.group("scene", cls=CommandGroup)
@@ -77,8 +77,10 @@ def build(**options: Any) -> None:
 @count_option("--max-file-mb", MAX_FILE_MB, "Maximum size of one file that is not USD, megabytes.")
 @click.option(
     "--unit",
-    type=click.Choice(get_args(Unit)),
-    help="Unit of a glTF, OBJ, PLY, STL or COLLADA file. Default: the unit that the file states.",
+    type=UnitType(),
+    metavar="[m|cm|mm|in|METRES]",
+    help="Unit of a glTF, OBJ, PLY, STL or COLLADA file; a number is its length in metres, which scales a scene that "
+    "was not drawn in its true size. Default: the unit that the file states.",
 )
 @click.option(
     "--up",

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from factory.scenes.formats.shapes import Content
-from factory.scenes.limits import StageLimits
+from factory.scenes.limits import StageLimits, Unit
 from schemas.errors import UsageError, WorldError
 from schemas.support.numpy_types import Floats
 
@@ -40,10 +40,10 @@ def resolve_units(file: str, content: Content, limits: StageLimits) -> tuple[Flo
     """
     corners = content.corners()
     size = np.ptp(corners, axis=0) if len(corners) else np.zeros(3)
-    unit = content.metres_per_unit if limits.unit is None else METRES[limits.unit]
+    unit = content.metres_per_unit if limits.unit is None else _length_of(limits.unit)
     up = limits.up or content.up
     missing = [
-        *(["its unit (--unit m|cm|mm|in)"] if unit is None else []),
+        *(["its unit (--unit m|cm|mm|in|METRES)"] if unit is None else []),
         *(["its up axis (--up y|z)"] if up is None else []),
     ]
     if unit is None or up is None:
@@ -52,9 +52,13 @@ def resolve_units(file: str, content: Content, limits: StageLimits) -> tuple[Flo
     if len(corners) and not _PLAUSIBLE_M[0] <= width <= _PLAUSIBLE_M[1]:
         raise WorldError(
             f"{file} is {width:.4g} m wide with a unit of {unit:g} m, which is implausible for a scene; "
-            f"{_sizes(size)}; give the unit with --unit m|cm|mm|in"
+            f"{_sizes(size)}; give the unit with --unit m|cm|mm|in|METRES"
         )
     return to_metres(unit, up), unit
+
+
+def _length_of(unit: Unit) -> float:
+    return unit if isinstance(unit, float) else METRES[unit]
 
 
 def _sizes(size: Floats) -> str:

@@ -5,6 +5,7 @@ Limits, dynamics, transmissions and Gazebo extensions are ignored. xacro macros 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,10 @@ from schemas.support.numpy_types import Floats
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
+
+_MOVABLE = ("revolute", "continuous", "prismatic")
+_READER_VERSION = "urdf 2"
+"""Changed when the same file is read as other parts."""
 
 
 def read_urdf(path: Path, files: SceneFiles) -> None:
@@ -41,15 +46,21 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
     library, names = Library(files), Names()
     materials = {str(element.get("name")): element for element in robot.iter("material") if len(element)}
     places = _link_places(robot)
-    for link in robot.findall("link"):
-        own = names.path(ROOT, link.get("name"), "link")
-        files.scene.models.add(own)
+    parents, paths = _parents_of_parts(robot, places), {"": ROOT}
+    order = {name: number for number, name in enumerate(places)}
+    files.scene.reader_version = _READER_VERSION
+    for link in sorted(robot.findall("link"), key=lambda link: order[str(link.get("name"))]):
+        name = str(link.get("name"))
+        own = paths[name] = names.path(paths[parents.get(name, "")], link.get("name"), "link")
+        if name not in parents:
+            files.scene.models.add(own)
+            files.scene.articulated |= {own} if name in parents.values() else set()
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
                 shape_path = names.path(own, shape.get("name"), kind)
                 try:
                     surface = None if kind == "collision" else _surface(library, shape, materials, path, shape_path)
-                    place = np.asarray(places[str(link.get("name"))] @ _origin(shape))
+                    place = np.asarray(places[name] @ _origin(shape))
                     _place_geometry(library, shape, path, shape_path, place, surface)
                 except BROKEN as error:
                     files.scene.notes.append(f"{shape_path}: skipped, {error}")
@@ -63,7 +74,7 @@ def _origin(element: Element) -> Floats:
 
 
 def _link_places(robot: Element) -> dict[str, Floats]:
-    """Returns the transform (4, 4) link -> robot of each link.
+    """Returns the transform (4, 4) link -> robot of each link, parents before children.
 
     Raises:
         ValueError: a joint names no link, or joints form a loop.
@@ -83,6 +94,27 @@ def _link_places(robot: Element) -> dict[str, Floats]:
                 base = np.eye(4) if joint is None else np.asarray(places[_end(joint, "parent")] @ _origin(joint))
                 places[name] = base
     return places
+
+
+def _parents_of_parts(robot: Element, places: Iterable[str]) -> dict[str, str]:
+    """Returns the parent of each link that is a part of an object, such as a drawer, a door or its handle.
+
+    A link is a part if a movable joint connects it with a link that has a shape or is a part, or if its parent is a
+    part. Other links that are fixed to a link are objects, such as an oven in a cabinet.
+
+    Args:
+        robot: root element.
+        places: names of the links, parents before children.
+    """
+    shaped = {str(link.get("name")) for link in robot.findall("link") if link.find("visual") is not None}
+    joints = {_end(joint, "child"): joint for joint in robot.findall("joint")}
+    parents: dict[str, str] = {}
+    for name in places:
+        joint = joints.get(name)
+        parent = "" if joint is None else _end(joint, "parent")
+        if parent in parents or (joint is not None and joint.get("type") in _MOVABLE and parent in shaped):
+            parents[name] = parent
+    return parents
 
 
 def _end(joint: Element, which: str) -> str:

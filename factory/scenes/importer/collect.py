@@ -53,7 +53,10 @@ class Collector:
     groups: set[str] = field(default_factory=set)
     models: set[str] = field(default_factory=set)
     components: set[str] = field(default_factory=set)
+    articulated: set[str] = field(default_factory=set)
     triangles: int = 0
+    reader_version: str = ""
+    """Version of the reader of the format, part of the digest; empty for readers that have not changed."""
 
     def require_room(self, path: str, more: int) -> None:
         """Checks that more triangles may be added.
@@ -108,6 +111,9 @@ class Collector:
         ceiling_m = self.limits.ceiling_m
         added = [] if ceiling_m is None else [f"ceiling {ceiling_m}"]
         added += [] if self.limits.floor_m is None else [f"floor {self.limits.floor_m}"]
+        added += [] if self.limits.unit is None else [f"unit {self.limits.unit}"]
+        added += [] if self.limits.up is None else [f"up {self.limits.up}"]
+        added += [self.reader_version] if self.reader_version else []
         return Extraction(
             parts=tuple(self.parts),
             metres_per_unit=metres_per_unit,
@@ -115,6 +121,7 @@ class Collector:
             groups=frozenset(self.groups),
             models=frozenset(self.models),
             components=frozenset(self.components),
+            articulated=frozenset(self.articulated),
             sha256=_digest_of(sorted(digests.values()) + added),
             files_sha256=_digest_of(sorted(f"{place} {digest}" for place, digest in digests.items()) + added),
             notes=tuple(dict.fromkeys(self.notes)),

@@ -89,5 +89,7 @@ class Extraction:
     """Height of a floor to add, metres."""
     ceiling_m: float | None = None
     """Height above the floor of a ceiling to add, metres."""
+    articulated: frozenset[str] = frozenset()
+    """Paths of objects with movable parts; parts of their category, such as drawers, are not separate objects."""
     images: Mapping[str, bytes | TextureRecipe] = field(default_factory=dict)
     """Encoded images that are part of another file, and textures to draw, by their name in `Surface.texture`."""

@@ -115,7 +115,7 @@ def _search(tree: _Tree, path: str) -> Iterator[Candidate]:
 
 def _is_container(tree: _Tree, path: str, category: str) -> bool:
     """Returns whether a prim is a container: two of its children have its category and disjoint boxes."""
-    if path in tree.extraction.components:
+    if path in tree.extraction.components or path in tree.extraction.articulated:
         return False
     rules = ((child, tree.rule_of(child)) for child in tree.children.get(path, ()))
     alike = [tree.boxes[child][:, :2] for child, rule in rules if rule and rule.category == category]

@@ -209,11 +209,12 @@ def _steps(episode: Episode, last: int) -> list[StepView]:
 
 def _facts(episode: Episode) -> list[tuple[str, str]]:
     row = episode.summary
+    colour = "" if row.colour == "unknown" else f"{row.colour} "  # an object of several colours has no colour name
     return [
         ("scene", row.scene),
         ("split", str(row.split)),
         ("tier", str(row.spawn_tier)),
-        ("target", f"{row.target_id} ({row.colour} {row.target_category})"),
+        ("target", f"{row.target_id} ({colour}{row.target_category})"),
         ("template", row.template_id),
         ("end", str(row.end_reason)),
         ("steps", str(row.num_steps)),

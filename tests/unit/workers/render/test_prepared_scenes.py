@@ -60,3 +60,12 @@ def test_clearing_closes_everything() -> None:
     kept = [take(cache, scene) for scene in scenes(3)]
     cache.clear()
     assert all(prepared.is_closed for prepared in kept)
+
+
+def test_room_is_made_before_the_next_scene_is_read() -> None:
+    cache, (a, b) = PreparedSceneCache(Prepared, capacity=2), scenes(2)
+    prepared_a, prepared_b = take(cache, a), take(cache, b)
+    cache.make_room()
+    assert (prepared_a.is_closed, prepared_b.is_closed, cache.keys) == (True, False, (id(b),))
+    cache.make_room()
+    assert not prepared_b.is_closed

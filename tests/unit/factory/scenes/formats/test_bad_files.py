@@ -43,7 +43,7 @@ def test_a_file_without_unit_and_axis_names_both_options_and_its_sizes(tmp_path:
         extract_scene(path)
     for words in (
         f"room{suffix} does not state",
-        "--unit m|cm|mm|in",
+        "--unit m|cm|mm|in|METRES",
         "--up y|z",
         "8.4 x 6.4 x 2.6 m with m",
         "with in",

@@ -94,6 +94,20 @@ def test_unit_and_up_axis_of_collada_are_applied_and_can_be_overridden(tmp_path:
     assert max(part.triangles[..., 2].max() for part in lying.parts) == pytest.approx(3.2)
 
 
+def test_a_unit_in_metres_scales_the_scene(tmp_path: Path) -> None:
+    path = write(tmp_path / "z.dae", dae_room(tmp_path))
+    for one, half in zip(extract_scene(path).parts, extract_scene(path, StageLimits(unit=0.5)).parts, strict=True):
+        assert np.allclose(one.triangles / 2, half.triangles)
+
+
+def test_scenes_of_another_unit_or_up_axis_have_another_digest(tmp_path: Path) -> None:
+    path = write(tmp_path / "z.dae", dae_room(tmp_path))
+    limits = (StageLimits(), StageLimits(unit="m"), StageLimits(unit=0.5), StageLimits(up="y"), StageLimits(up="z"))
+    extractions = [extract_scene(path, each) for each in limits]
+    assert len({extraction.files_sha256 for extraction in extractions}) == len(limits)
+    assert len({extraction.sha256 for extraction in extractions}) == len(limits)
+
+
 def test_a_world_places_included_models_in_nested_frames(tmp_path: Path) -> None:
     box = "<geometry><box><size>1 1 1</size></box></geometry>"
     write(
@@ -154,8 +168,48 @@ def test_links_of_urdf_follow_joints_and_package_names(tmp_path: Path) -> None:
         <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/><axis xyz="0 0 1"/></joint>"""
     path = write(tmp_path / "shop.urdf", urdf_room(more))
     extraction = extract_scene(path, StageLimits(models=(tmp_path / "share",)))
-    (shelf,) = [part for part in extraction.parts if part.path.startswith("/World/shelf")]
+    (shelf,) = [part for part in extraction.parts if part.path.startswith("/World/SM_Chair_01/shelf")]
     assert box_of(shelf) == [[1.0, 2.0, 1.45], [2.0, 3.0, 1.45]]  # chair at (2, 1, 0.45), turned by 90 degrees
+    assert shelf.surface.texture == str(tmp_path / "share" / "shop" / "tiles.png")
+
+
+def link(name: str, parent: str = "", joint: str = "fixed") -> str:
+    box = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+    ends = f'<parent link="{parent}"/><child link="{name}"/>'
+    return f'<link name="{name}">{box}</link>' + (
+        f'<joint name="to_{name}" type="{joint}">{ends}</joint>' if parent else ""
+    )
+
+
+def test_drawers_and_handles_of_urdf_are_parts_of_their_cabinet_and_fixed_links_are_not(tmp_path: Path) -> None:
+    links = [
+        link("handle", "drawer"),  # before its parent
+        '<link name="world"/>',  # without a shape: it carries objects and is none
+        link("cabinet", "world"),
+        link("table", "world", "prismatic"),
+        link("drawer", "cabinet", "prismatic"),
+        link("oven", "cabinet"),
+    ]
+    extraction = extract_scene(write(tmp_path / "a.urdf", f'<robot name="r">{"".join(links)}</robot>'))
+    assert sorted({part.path.rpartition("/")[0] for part in extraction.parts}) == [
+        "/World/cabinet",
+        "/World/cabinet/drawer",
+        "/World/cabinet/drawer/handle",
+        "/World/oven",
+        "/World/table",
+    ]
+    assert extraction.models == {"/World/cabinet", "/World/oven", "/World/table", "/World/world"}
+    assert extraction.articulated == {"/World/cabinet"}
+
+
+def test_textures_are_found_from_a_relative_model_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh_world(tmp_path / "share" / "shop")
+    mesh = '<mesh filename="package://shop/meshes/tri.obj"/>'
+    more = f'<link name="shelf"><visual><geometry>{mesh}</geometry></visual></link>'
+    path = write(tmp_path / "shop.urdf", urdf_room(more))
+    monkeypatch.chdir(tmp_path)
+    extraction = extract_scene(Path(path.name), StageLimits(models=(Path("share"),)))
+    (shelf,) = [part for part in extraction.parts if part.path.startswith("/World/shelf")]
     assert shelf.surface.texture == str(tmp_path / "share" / "shop" / "tiles.png")
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from factory.scenes.compile.shade import target_colour
 from factory.scenes.compile.textures import load_textures
+from factory.scenes.formats import extract_scene
+from factory.scenes.importer import Extraction
 from factory.scenes.importer.extract import extract_stage
 from factory.scenes.rules import builtin_rules
 from factory.scenes.targets.candidates import find_candidates, footprint_width
@@ -22,7 +24,10 @@ def box(name: str, at: float = 0.0, size: float = 0.8, colour: Vector3 = (0.5, 0
 
 
 def found(tmp_path: Path, body: str) -> list[tuple[str, str]]:
-    extraction = extract_stage(TEXT.write(tmp_path / "scene.usda", body))
+    return candidates_of(extract_stage(TEXT.write(tmp_path / "scene.usda", body)))
+
+
+def candidates_of(extraction: Extraction) -> list[tuple[str, str]]:
     book = load_textures({}, lambda path: None)
     candidates = find_candidates(extraction, extraction.parts, builtin_rules(), lambda own: target_colour(own, book))
     return [(candidate.path.removeprefix("/World/"), candidate.category) for candidate in candidates]
@@ -36,6 +41,20 @@ def test_the_outermost_match_is_the_target(tmp_path: Path) -> None:
 def test_a_container_of_adjacent_objects_is_descended(tmp_path: Path) -> None:
     chairs = TEXT.group("Chairs", box("Chair_1", 0) + box("Chair_2", 1.0))
     assert found(tmp_path, chairs) == [("Chairs/Chair_1", "chair"), ("Chairs/Chair_2", "chair")]
+
+
+def test_movable_parts_of_an_object_are_not_separate_objects(tmp_path: Path) -> None:
+    def link(name: str, x: float, parent: str = "") -> str:
+        shape = f'<visual><origin xyz="{x} 0 0.4"/><geometry><box size="0.6 0.4 0.8"/></geometry></visual>'
+        ends = f'<parent link="{parent}"/><child link="{name}"/>'
+        return f'<link name="{name}">{shape}</link>' + (
+            f'<joint name="to_{name}" type="prismatic">{ends}</joint>' if parent else ""
+        )
+
+    drawers = "".join(link(f"cabinet1_drawer_{number}", number, "cabinet1") for number in range(2))
+    path = tmp_path / "kitchen.urdf"
+    path.write_text(f'<robot name="kitchen">{link("cabinet1", 0)}{drawers}{link("table", 5)}</robot>')
+    assert candidates_of(extract_scene(path)) == [("cabinet1", "cabinet"), ("table", "table")]
 
 
 def test_stacked_boards_are_one_shelf(tmp_path: Path) -> None:
