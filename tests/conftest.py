@@ -129,13 +129,14 @@ def homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(autouse=True)
-def guarded_home(guarded_process: None, monkeypatch: pytest.MonkeyPatch, homes: Iterator[Path]) -> None:
-    """Sets HOME and every cache to a private folder of the test."""
+def guarded_home(guarded_process: None, monkeypatch: pytest.MonkeyPatch, homes: Iterator[Path], shared: Path) -> None:
+    """Sets HOME and every cache to a private folder of the test; compiled shaders of Mesa are shared by all tests."""
     home = next(homes)
     home.mkdir()
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.setenv("MINIVLA_CACHE", str(home / "cache"))
     monkeypatch.setenv("MINIVLA_STATE", str(home / "state"))
+    monkeypatch.setenv("MESA_SHADER_CACHE_DIR", str(shared / "shaders"))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     for name in ENVIRONMENT:
         monkeypatch.delenv(name, raising=False)

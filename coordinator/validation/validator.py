@@ -79,8 +79,9 @@ class Validator(Closing):
         self._limits = limits or ValidatorLimits()
         self._layers: tuple[str, ...] = ()
         self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
-        self._free: queue.SimpleQueue[_Child] = queue.SimpleQueue()
+        self._free: queue.LifoQueue[_Child] = queue.LifoQueue()
         self._all = [_Child(self._limits) for _ in range(children)]
+        # the last one used is the next one, so that only as many start as validate at the same time
         for child in self._all:
             self._free.put(child)
 

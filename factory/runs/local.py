@@ -59,7 +59,7 @@ class LocalRun:
     root: Path
     """Dataset directory, or with `store` the local state directory."""
     workers: int
-    """Number of worker processes, each with one simulation."""
+    """Largest number of worker processes, each with one simulation; a run of fewer episodes starts one for each."""
     renderer: RendererKind = "auto"
     verbose: bool = False
     gate: tuple[GateOutcome, ...] = ()
@@ -140,7 +140,7 @@ def run_locally(
         tell(progress)
         if progress.finished:
             return progress
-        with _open_pool(run, coordinator.endpoints[0]) as pool:
+        with _open_pool(run, coordinator.endpoints[0], progress.missing) as pool:
             while not (progress.finished or stop.wait(_POLL_S)):
                 progress = coordinator.progress()
                 tell(progress)
@@ -170,9 +170,9 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     )
 
 
-def _open_pool(run: LocalRun, endpoint: str) -> _WorkerPool | RayCluster:
+def _open_pool(run: LocalRun, endpoint: str, missing: int) -> _WorkerPool | RayCluster:
     if run.cluster is None:
-        return _WorkerPool(run, endpoint)
+        return _WorkerPool(run, endpoint, min(run.workers, max(1, missing)))
     run.cluster.open(endpoint)
     return run.cluster
 
@@ -180,7 +180,7 @@ def _open_pool(run: LocalRun, endpoint: str) -> _WorkerPool | RayCluster:
 class _WorkerPool(Closing):
     """Worker processes; each exits when its stdin closes, even if this process is killed."""
 
-    def __init__(self, run: LocalRun, endpoint: str) -> None:
+    def __init__(self, run: LocalRun, endpoint: str, workers: int) -> None:
         self._command = [
             *python_module("factory", "worker", "--cores", "1", "--connect", endpoint, "--until-eof"),
             *("--renderer", run.renderer, "--spool", str(run.root / _SPOOL)),
@@ -188,7 +188,7 @@ class _WorkerPool(Closing):
         ]
         self._deaths = 0
         self._archived = 0
-        self._processes = [self._start() for _ in range(run.workers)]
+        self._processes = [self._start() for _ in range(workers)]
 
     def restart_dead(self, archived: int) -> None:
         """Restarts workers that exited with an error.

@@ -36,6 +36,12 @@ def test_two_workers_produce_the_same_dataset_as_one(factory, plan, reference, t
     assert digest_of(factory, root) == digest_of(factory, reference)
 
 
+def test_a_run_of_one_episode_starts_one_worker(factory, plan, tmp_path):
+    words = ("--episodes", 1, "--record", "states", "--gate", "skip", "--workers", 3, "--verbose")
+    done = factory("run", plan, *words, "--out", tmp_path / "one")
+    assert done.stderr.count("worker_started") == 1
+
+
 def test_kills_of_coordinator_and_worker_neither_lose_nor_change_data(factory, plan, reference, tmp_path):
     root, endpoint = tmp_path / "chaos", free_endpoint()
 

@@ -142,6 +142,14 @@ def test_many_threads_share_the_children(bundle: Path) -> None:
     assert {row.episode_id for row in rows} == {"ep_000001"}
 
 
+def test_bundles_that_follow_each_other_use_one_child(bundle: Path) -> None:
+    before = child_processes()
+    with Validator(children=3) as validator:
+        for _ in range(3):
+            validator.check(bundle, job_for())
+        assert len(child_processes() - before) == 1
+
+
 def test_each_bundle_of_an_order_has_a_separate_verdict(validator: Validator, bundle: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.part"
     damaged.write_bytes(bundle_bytes()[:-100])
