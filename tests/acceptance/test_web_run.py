@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.acceptance.factory_cli import FactoryCli, Started, wait_for
 from tests.builders.browser import chromium, why_no_chromium
+from tests.builders.process_state import children_of
 
 REASON = why_no_chromium()
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(REASON), reason=REASON)]
@@ -35,6 +37,21 @@ def test_the_benchmark_of_visitors_reports_the_cost_of_each_kind(factory: Factor
         assert cost["episodes_per_s"]["low"] > 0
         assert 0 < cost["coordinator_share"]["low"] < 1
         assert cost["cpu_s_per_episode"]["low"] > 0
+
+
+def test_a_terminated_benchmark_ends_its_run(factory: FactoryCli):
+    bench = factory.start("bench", "visited", "demo", "--workers", 1)
+    runs: set[int] = set()
+
+    def is_started() -> bool:
+        assert bench.poll() is None, bench.communicate()
+        runs.update(children_of(bench.pid))
+        return bool(runs)
+
+    wait_for(is_started)
+    bench.terminate()
+    assert (bench.communicate(120), bench.returncode)[1] == 130
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in runs))
 
 
 def test_a_run_is_watched_until_its_server_closes_and_names_the_command_for_the_dataset(factory: FactoryCli, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from typing import Any
 
 import click
@@ -50,6 +51,7 @@ def command() -> None:
     from factory.support.logs import configure_logs
 
     configure_logs(verbose=False)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, so that the measured processes end, too
 
 
 @command.command("rollout")
