@@ -210,7 +210,7 @@ class SubmittedRun:
     ) -> None:
         """Stops a task at work, and repeats this until a task has lost a job.
 
-        The run is paused while Slurm reacts, so that jobs are left for the next event on a machine of any speed.
+        The run is paused while Slurm reacts and until a suitable task runs, so that jobs are left for the next event on a machine of any speed.
 
         Args:
             event: stops the task.
@@ -220,6 +220,8 @@ class SubmittedRun:
             end: event with which the ledger must record that the task has lost a job.
         """
         while True:
+            # still paused: Slurm starts a task again some minutes after it was queued again
+            self._cluster.wait(lambda: any(map(is_suitable, self.running())), "a running task")
             self._resume()
             task = self.at_work(is_suitable)
             session, since = self._session(task), time.time()
