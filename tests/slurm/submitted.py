@@ -210,7 +210,8 @@ class SubmittedRun:
     ) -> None:
         """Stops a task at work, and repeats this until a task has lost a job.
 
-        The run is paused while Slurm reacts and until a suitable task runs, so that jobs are left for the next event on a machine of any speed.
+        The run is paused while Slurm reacts and until a suitable task runs, so that jobs are left for the next event on
+        a machine of any speed.
 
         Args:
             event: stops the task.
