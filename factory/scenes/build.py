@@ -19,7 +19,7 @@ from factory.scenes.requirements import require_building
 from factory.scenes.rules import RuleBook, builtin_rules, load_rules
 from factory.scenes.stage_file import require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
-from factory.scenes.version import COMPILER_VERSION, MATERIALS_VERSION
+from factory.scenes.version import COMPILER_VERSION, IMPORT_VERSION, MATERIALS_VERSION
 from schemas.errors import InvalidBundle, LayoutError, UsageError, WorldError
 from schemas.scene import LAYOUT_FORMAT, SCENE_FORMAT, CompiledScene, encode_layout, encode_scene
 from schemas.scene.files import faulty_textures
@@ -241,7 +241,7 @@ def _read_stage(
     extraction = extract_scene(path, limits)
     book = (rules or builtin_rules()).model_dump_json()
     parts = (path.name, extraction.files_sha256, *extraction.notes, book, targets and targets.digest)
-    made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, MATERIALS_VERSION, *parts)))
+    made_from = "\n".join(map(str, (IMPORT_VERSION, COMPILER_VERSION, SCENE_FORMAT, MATERIALS_VERSION, *parts)))
     return extraction, hashlib.sha256(made_from.encode()).hexdigest()
 
 

@@ -2,5 +2,7 @@
 
 COMPILER_VERSION = 11
 """Incremented when the same stage compiles to different bytes."""
+IMPORT_VERSION = 2
+"""Incremented when imports in a cache must be compiled again; 1 did not distinguish the given unit and up axis."""
 MATERIALS_VERSION = 1
 """Incremented when the recorded materials of the same stage change; the paper's layouts record none."""

@@ -47,14 +47,15 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
     materials = {str(element.get("name")): element for element in robot.iter("material") if len(element)}
     places = _link_places(robot)
     parents, paths = _parents_of_parts(robot, places), {"": ROOT}
-    order = {name: number for number, name in enumerate(places)}
+    carriers, order = set(parents.values()), {name: number for number, name in enumerate(places)}
     files.scene.reader_version = _READER_VERSION
     for link in sorted(robot.findall("link"), key=lambda link: order[str(link.get("name"))]):
         name = str(link.get("name"))
         own = paths[name] = names.path(paths[parents.get(name, "")], link.get("name"), "link")
         if name not in parents:
             files.scene.models.add(own)
-            files.scene.articulated |= {own} if name in parents.values() else set()
+            if name in carriers:
+                files.scene.articulated.add(own)
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
                 shape_path = names.path(own, shape.get("name"), kind)
