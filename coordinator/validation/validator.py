@@ -24,7 +24,6 @@ import structlog
 from pydantic import ValidationError
 
 from coordinator.validation.bundle_file import BundleFile
-from coordinator.validation.language import sentence_findings
 from coordinator.validation.messages import (
     HEADER,
     MAX_TASKS,
@@ -170,6 +169,8 @@ class Validator(Closing):
         """
         summary, package = _summary_or_raise(verdict), self._packages.get(job.scene_sha256)
         if verdict.language is not None and package is not None:
+            from coordinator.validation.language import sentence_findings  # most runs have no verified instructions
+
             start = (summary.spawn_x_m, summary.spawn_y_m, summary.spawn_yaw_rad)
             aimed = job.model_copy(update={"target_id": summary.target_id})
             found = sentence_findings(aimed, verdict.language, start, package)

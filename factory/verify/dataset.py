@@ -5,11 +5,8 @@ Returns all findings; does not stop at the first. Does not write, print or need 
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
-from itertools import chain, islice
 from types import MappingProxyType
 
 import pyarrow as pa
@@ -21,8 +18,8 @@ from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
 from factory.dataset.reader import Dataset, Episode
 from factory.scenes.targets.target_list import list_file_name
-from factory.support.logs import configure_logs
-from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, targets_of
+from factory.verify.check_runner import run_checks
+from factory.verify.episode import EpisodeCheck, targets_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from factory.verify.rows import RowCheck
 from schemas.dataset.meta import DatasetMeta
@@ -48,7 +45,6 @@ from schemas.terms import Recording
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]
 
 ProgressCallback = Callable[[int, int], None]
-_ROWS_AT_A_TIME = 2000
 _KIND_OF_FAULT = MappingProxyType(
     {
         FaultKind.ABSENT: Kind.MISSING,
@@ -57,7 +53,6 @@ _KIND_OF_FAULT = MappingProxyType(
         FaultKind.OUTDATED: Kind.CONTRADICTION,
     }
 )
-_CHECKS_AT_A_TIME = 4
 _EXACT_POSES = 2
 """First bundle format with exact poses."""
 
@@ -66,7 +61,7 @@ def verify(
     root: Place,
     deep: bool = False,
     on_progress: ProgressCallback = lambda _done, _all: None,
-    processes: int = 1,
+    processes: int | None = 1,
     render: int = 0,
     reference: Place | None = None,
 ) -> VerifyReport:
@@ -80,7 +75,8 @@ def verify(
         root: Location of the dataset.
         deep: Whether to check the content of the episodes.
         on_progress: Called with the number of checked episodes and the total.
-        processes: Number of processes that check episodes; 1 runs in the calling process.
+        processes: Number of processes that check episodes; 1 runs in the calling process. `None`: at most one per core,
+            and only as many as check the episodes sooner.
         render: Number of episodes, evenly spread, whose frames are rendered again and compared with their digests.
         reference: Frames recording of the same episodes, with which rendered frames of a states recording are compared.
 
@@ -111,7 +107,7 @@ def verify(
     checks = _plan_checks(
         rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None, is_drawn
     )
-    for done, result in enumerate(_run_checks(checks, processes), 1):
+    for done, result in enumerate(run_checks(checks, processes), 1):
         report.findings += result.findings
         report.difference.merge(result.difference)
         on_progress(done, len(dataset))
@@ -173,18 +169,6 @@ def _plan_checks(
         package = scenes[row.scene].path if candidates else None
         frames = frames_of.get(name)
         yield EpisodeCheck(report.root, row, candidates, report.deep, name in drawn, frames, package, relabelled)
-
-
-def _run_checks(checks: Iterator[EpisodeCheck], processes: int) -> Iterator[EpisodeFindings]:
-    batch = list(islice(checks, _ROWS_AT_A_TIME))
-    if processes <= 1 or len(batch) <= 1:
-        yield from map(check_episode, chain(batch, checks))
-        return
-    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by other threads
-    with ProcessPoolExecutor(min(processes, len(batch)), fresh, initializer=configure_logs) as pool:
-        while batch:  # `pool.map` reads all of its input at once
-            yield from pool.map(check_episode, batch, chunksize=_CHECKS_AT_A_TIME if len(batch) > 100 else 1)
-            batch = list(islice(checks, _ROWS_AT_A_TIME))
 
 
 def _check_listing(root: Place, names: Collection[str], report: VerifyReport) -> None:

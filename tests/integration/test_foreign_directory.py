@@ -72,7 +72,7 @@ def test_a_command_in_a_foreign_directory_imports_product_modules_for_any_python
 
 
 def test_a_deep_verification_in_several_processes_imports_only_product_modules(traps: Path) -> None:
-    done = factory("verify", ".", "--deep")
+    done = factory("verify", ".", "--deep", "--workers", "2")
     assert "2 episodes" in done.stdout, done.stderr
 
 

@@ -156,15 +156,17 @@ verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log all eve
 """`--verbose`."""
 
 
-def workers_option(text: str, default: int | None = None, least: int = 1) -> Callable[[Command], Command]:
-    """Returns the option `--workers N`: number of processes; `None` means one per core."""
+def workers_option(
+    text: str, default: int | None = None, least: int = 1, unset: str = "one per core"
+) -> Callable[[Command], Command]:
+    """Returns the option `--workers N`: number of processes; `None` means what `unset` describes."""
     return click.option(
         "--workers",
         type=click.IntRange(least, 1024),
         default=default,
         show_default=default is not None,
         metavar="N",
-        help=text if default is not None else f"{text}. Default: one per core.",
+        help=text if default is not None else f"{text}. Default: {unset}.",
     )
 
 

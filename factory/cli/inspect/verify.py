@@ -43,7 +43,10 @@ class _EpisodeCount(click.ParamType):  # type: ignore[type-arg]  # generic since
     help="Dataset that stores frames of the same episodes. With --render of a dataset of states: print how far "
     "rendered pixels differ from these frames.",
 )
-@workers_option("Number of processes, used with --deep and --render")
+@workers_option(
+    "Number of processes, used with --deep and --render",
+    unset="at most one per core, fewer if the work takes less time than their start",
+)
 @json_option
 def command(**options: Any) -> int:
     """Check the files, tables and hashes of a dataset.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import click
@@ -18,7 +17,7 @@ from schemas.storage.place import Place
 def execute(root: Place, deep: bool, render: int, reference: Place | None, workers: int | None, as_json: bool) -> int:
     """Executes `factory verify`."""
     configure_logs()
-    processes = (workers or os.cpu_count() or 1) if deep or render else 1
+    processes = workers if deep or render else 1
     with one_bar("verifying") as tell:
         report = verify(root, deep, tell, processes, render, reference)
     if as_json:

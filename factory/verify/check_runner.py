@@ -1,0 +1,52 @@
+"""Checks episodes in this process, or in several if their work takes longer than starting them.
+
+The checks themselves are in `factory/verify/episode.py`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import chain, islice
+
+from factory.support.logs import configure_logs
+from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode
+
+_ROWS_AT_A_TIME = 2000
+_CHECKS_AT_A_TIME = 4
+_BYTES_PER_S = 75e6
+_EPISODE_S = 0.01
+"""CPU time of a deep check beside that of the bytes, seconds."""
+_WORTH_A_PROCESS_S = 2.0
+"""CPU time of checks for which a process is started, seconds: twice the CPU time of its start and imports."""
+
+
+def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterator[EpisodeFindings]:
+    """Yields the result of each check, in the order of the checks.
+
+    Args:
+        checks: Checks, read as they are needed.
+        processes: Number of processes; 1 runs in the calling process. `None`: as many as `useful_processes` returns.
+    """
+    batch = list(islice(checks, _ROWS_AT_A_TIME))
+    count = min(useful_processes(batch, os.cpu_count() or 1) if processes is None else processes, len(batch))
+    if count <= 1:
+        yield from map(check_episode, chain(batch, checks))
+        return
+    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by other threads
+    with ProcessPoolExecutor(count, fresh, initializer=configure_logs) as pool:
+        while batch:  # `pool.map` reads all of its input at once
+            yield from pool.map(check_episode, batch, chunksize=_CHECKS_AT_A_TIME if len(batch) > 100 else 1)
+            batch = list(islice(checks, _ROWS_AT_A_TIME))
+
+
+def useful_processes(checks: Sequence[EpisodeCheck], cores: int) -> int:
+    """Returns how many processes check episodes sooner than one process; at most one per core.
+
+    Rendering an episode again takes seconds, so that each rendered one is worth a process.
+    """
+    rendered = sum(check.render for check in checks)
+    work_s = sum(_EPISODE_S + check.row.file_bytes / _BYTES_PER_S for check in checks if check.deep)
+    return max(1, min(cores, rendered + int(work_s / _WORTH_A_PROCESS_S)))
