@@ -30,7 +30,7 @@ def printed_url(run: Started) -> str:
 
 
 def test_the_benchmark_of_visitors_reports_the_cost_of_each_kind(factory: FactoryCli):
-    words = ("demo", "--workers", 1, "--seconds", 10, "--rounds", 1, "--viewers", 2, "--requests", 100)
+    words = ("demo", "--workers", 1, "--seconds", 5, "--rounds", 1, "--viewers", 2, "--requests", 100)
     costs = factory.json("bench", "visited", *words)["costs"]
     assert list(costs) == ["none", "viewers", "attackers"]
     for cost in costs.values():

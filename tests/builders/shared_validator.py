@@ -1,4 +1,4 @@
-"""A validator that several coordinators of a test module use one after another."""
+"""A validator that several coordinators and repairs use one after another."""
 
 from __future__ import annotations
 

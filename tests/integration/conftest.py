@@ -41,9 +41,9 @@ def rigged(factory: FactoryCli, shared: Path, recordings: dict[Recording, Path])
     return build_once(shared / "driven-rigged", build)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def checker() -> Iterator[SharedValidator]:
-    """A validator for all coordinators of a module, one after another."""
+    """A validator for the coordinators and repairs of all modules, one after another."""
     with Validator() as validator:
         yield SharedValidator(validator)
 

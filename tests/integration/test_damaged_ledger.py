@@ -21,10 +21,10 @@ from coordinator.options import CoordinatorOptions
 from coordinator.recovery.repair_dataset import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.validation.validator import Validator
 from factory.cli.main import _run
 from schemas.errors import FactoryError
 from tests.builders.archived import ArchivedRun
+from tests.builders.shared_validator import SharedValidator
 
 READING = (
     ("status", "{}"),
@@ -32,8 +32,9 @@ READING = (
     ("jobs", "list", "{}"),
     ("jobs", "list", "{}", "--state", "archived", "--json"),
     ("jobs", "show", "{}", "1"),
-    ("stats", "{}"),
 )
+TABLES_ONLY = ("stats", "{}")
+"""Reads no ledger, so that a wrong value can only matter by its presence."""
 WRITING = (("jobs", "retry", "{}", "--all"), ("jobs", "cancel", "{}", "2"))
 OPENING = (
     ("run", "--out", "{}"),
@@ -84,7 +85,7 @@ def flip(path: Path, seed: int, bits: int) -> None:
 def test_every_command_reports_flipped_bits_without_a_traceback(damaged_run, monkeypatch, capsys, seed, bits):
     flip(damaged_run / "ledger.db", seed, bits)
     damaged = (damaged_run / "ledger.db").read_bytes()
-    for words in (*READING, *WRITING, *(OPENING if (seed, bits) == (0, 200) else ())):
+    for words in (*READING, TABLES_ONLY, *WRITING, *(OPENING if (seed, bits) == (0, 200) else ())):
         (damaged_run / "ledger.db").write_bytes(damaged)
         call(monkeypatch, capsys, damaged_run, words)
 
@@ -103,6 +104,7 @@ def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(damaged_run
             with contextlib.suppress(FactoryError):
                 ledger_trouble(f"sqlite:///{ledger}")
             call(monkeypatch, capsys, damaged_run, next(verbs))
+    call(monkeypatch, capsys, damaged_run, TABLES_ONLY)
 
 
 def _repair_input(whole: ArchivedRun, damaged_run: Path):  # type: ignore[no-untyped-def]
@@ -129,7 +131,9 @@ def _repair_input(whole: ArchivedRun, damaged_run: Path):  # type: ignore[no-unt
         ("info", "value", "'?'"),
     ],
 )
-def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(damaged_run, whole, table, column, value):
+def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(
+    damaged_run: Path, whole: ArchivedRun, checker: SharedValidator, table: str, column: str, value: str
+) -> None:
     ledger = damaged_run / "ledger.db"
     with closing(sqlite3.connect(ledger)) as raw:
         raw.execute(f'UPDATE {table} SET "{column}" = {value}')
@@ -139,15 +143,13 @@ def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(damaged_run, 
     assert ledger_trouble(url, whole.catalog)
     with pytest.raises(FactoryError, match="factory repair"):
         gather(_repair_input(whole, damaged_run), [], whole.timed_ledger.now)
-    with Validator() as validator:
-        report = repair(_repair_input(whole, damaged_run), validator, whole.timed_ledger.now, apply=True)
+    report = repair(_repair_input(whole, damaged_run), checker, whole.timed_ledger.now, apply=True)
     assert "rebuild" in {str(action.kind) for action in report.actions}
     assert ledger_trouble(url, whole.catalog) == ""
     ledger.write_bytes(damaged)
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
-    with Coordinator(
-        damaged_run, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
-    ) as coordinator:
+    options = CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings, checker=checker)
+    with Coordinator(damaged_run, whole.plan, whole.catalog, options) as coordinator:
         assert coordinator.progress().jobs["archived"] == 2
     assert ledger_trouble(url, whole.catalog) == ""
     assert sorted(path.name for path in (damaged_run / "episodes").iterdir()) == files

@@ -38,6 +38,7 @@ from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Lease, Refusal
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan
+from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
@@ -55,14 +56,14 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def hub(url: str, tmp_path: Path) -> Iterator[Coordinator]:
+def hub(url: str, tmp_path: Path, checker: SharedValidator) -> Iterator[Coordinator]:
     (tmp_path / "out").mkdir()
     catalog = room_catalog(tmp_path)
     with Coordinator(
         tmp_path / "out",
         room_plan(EPISODES),
         catalog,
-        CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS),
+        CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS, checker=checker),
     ) as running:
         yield running
     assert ledger_trouble(url, catalog) == ""

@@ -29,6 +29,7 @@ from schemas.protocol.messages import Ack, Beat, BeatReply, Hello, HelloReply, R
 from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
@@ -45,14 +46,14 @@ def url(request: pytest.FixtureRequest) -> str | None:
 
 
 @pytest.fixture
-def hub(url: str | None, tmp_path: Path) -> Iterator[Coordinator]:
+def hub(url: str | None, tmp_path: Path, checker: SharedValidator) -> Iterator[Coordinator]:
     """A coordinator; checks at the end that the ledger of either database is valid."""
     catalog = room_catalog(tmp_path)
     with Coordinator(
         tmp_path / "out",
         room_plan(EPISODES),
         catalog,
-        CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS),
+        CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS, checker=checker),
     ) as running:
         yield running
     assert ledger_trouble(ledger_url_of(tmp_path / "out", url), catalog) == ""

@@ -24,6 +24,7 @@ from schemas.errors import UsageError, WorldError
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
 from tests.builders.postgres import Postgres
+from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0)
@@ -36,13 +37,12 @@ def url(postgres_server: Postgres) -> str:
 
 
 @pytest.fixture
-def finished(tmp_path: Path, url: str) -> RepairInput:
+def finished(tmp_path: Path, url: str, checker: SharedValidator) -> RepairInput:
     """A finished run of two episodes."""
     plan, catalog = room_plan(2), room_catalog(tmp_path)
+    options = CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS, checker=checker)
     with (
-        Coordinator(
-            tmp_path / "out", plan, catalog, CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS)
-        ) as hub,
+        Coordinator(tmp_path / "out", plan, catalog, options) as hub,
         WireWorker(hub.endpoints, hub.run) as worker,
     ):
         worker.hello(version("minivla-factory"))

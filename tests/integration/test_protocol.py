@@ -21,6 +21,7 @@ from schemas.protocol.keys import Chunk, Verb, scene_selector
 from schemas.protocol.messages import Beat, BeatReply, Claim, ClaimReply, HelloReply, Refusal
 from schemas.terms import FailReason, Recording
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
@@ -33,10 +34,9 @@ def settings(**changes: object) -> CoordinatorSettings:
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Iterator[Coordinator]:
-    with Coordinator(
-        tmp_path / "out", room_plan(2), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=settings())
-    ) as running:
+def opened(tmp_path: Path, checker: SharedValidator) -> Iterator[Coordinator]:
+    options = CoordinatorOptions(listen=ANY_PORT, settings=settings(), checker=checker)
+    with Coordinator(tmp_path / "out", room_plan(2), room_catalog(tmp_path), options) as running:
         yield running
 
 
