@@ -21,7 +21,7 @@ from factory.dataset.marks import Marks
 from factory.html import render
 from factory.html.palette import REASON_COLOURS
 from factory.web.access import Access
-from factory.web.context import WebContext, page
+from factory.web.context import FarmView, WebContext, page
 from factory.web.evaluations import Evaluations
 from factory.web.figures.store import StatisticsStore
 from factory.web.forms import read_form
@@ -29,11 +29,14 @@ from factory.web.frames import FrameStore
 from factory.web.guard import RequestGuard, signed_in
 from factory.web.pages import episode, episodes, evaluation, farm, operations, scene3d, scenes, statistics
 from factory.web.pages.find import NoEpisode
+from factory.web.recent import Recent
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError, UsageError
 from schemas.protocol.administration import AdminReply, AdminRequest
 
 _PAGES = (episodes, episode, scenes, scene3d, statistics, evaluation, operations)
+_FARM_AGE_S = 3.0
+"""Greatest age of the shown state of a run, seconds."""
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 
@@ -58,23 +61,34 @@ def create_app(
         more_routes: further routes, for example the status pages of a coordinator.
         evaluations: directories of `factory eval -o`.
     """
+    farm_view = Recent(lambda: farm.read_view(workspace), _FARM_AGE_S)
     app = Starlette(
-        routes=[*all_routes(workspace), *more_routes],
+        routes=[*all_routes(farm_view), *more_routes],
         exception_handlers={HTTPException: _answer_http_error, FactoryError: _answer_failure, Exception: _answer_bug},
     )
     app.state.context = WebContext(
-        workspace, Marks(workspace.site), FrameStore(workspace), administer, Evaluations(evaluations), statistics
+        workspace=workspace,
+        farm=farm_view,
+        marks=Marks(workspace.site),
+        frames=FrameStore(workspace),
+        administer=administer,
+        evaluations=Evaluations(evaluations),
+        statistics=statistics,
     )
     return RequestGuard(app, address, access)
 
 
-def all_routes(workspace: Workspace) -> list[BaseRoute]:
-    """Returns the routes of all pages, their images and their static files."""
+def all_routes(farm_view: Recent[FarmView]) -> list[BaseRoute]:
+    """Returns the routes of all pages, their images and their static files.
+
+    Args:
+        farm_view: content of the farm page.
+    """
     return [
         Route("/login", login, methods=["GET", "POST"]),
         Route("/static/page.css", style),
         Mount("/static", StaticFiles(directory=_STATIC)),
-        *farm.routes(workspace),
+        *farm.routes(farm_view),
         *(route for module in _PAGES for route in module.routes()),
     ]
 
