@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from http import HTTPStatus
 from pathlib import Path
 
@@ -17,64 +17,38 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from coordinator.status.address import HttpAddress
-from factory.dataset.marks import Marks
 from factory.html import render
 from factory.html.palette import REASON_COLOURS
 from factory.web.access import Access
 from factory.web.context import FarmView, WebContext, page
-from factory.web.evaluations import Evaluations
-from factory.web.figures.store import StatisticsStore
 from factory.web.forms import read_form
-from factory.web.frames import FrameStore
 from factory.web.guard import RequestGuard, signed_in
 from factory.web.pages import episode, episodes, evaluation, farm, operations, scene3d, scenes, statistics
 from factory.web.pages.find import NoEpisode
 from factory.web.recent import Recent
-from factory.web.workspace import Workspace
 from schemas.errors import FactoryError, UsageError
-from schemas.protocol.administration import AdminReply, AdminRequest
 
 _PAGES = (episodes, episode, scenes, scene3d, statistics, evaluation, operations)
-_FARM_AGE_S = 3.0
-"""Greatest age of the shown state of a run, seconds."""
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 
 
 def create_app(
-    workspace: Workspace,
-    address: HttpAddress,
-    access: Access,
-    administer: Callable[[AdminRequest], AdminReply],
-    statistics: StatisticsStore,
-    more_routes: Iterable[BaseRoute] = (),
-    evaluations: Sequence[Path] = (),
+    context: WebContext, address: HttpAddress, access: Access, more_routes: Iterable[BaseRoute] = ()
 ) -> ASGIApp:
     """Returns the application of a dataset.
 
     Args:
-        workspace: the dataset and its run.
+        context: state that all requests share.
         address: configured address of the server.
         access: token and reading rights.
-        administer: function that executes an admin request on the run.
-        statistics: figures of the dataset.
         more_routes: further routes, for example the status pages of a coordinator.
-        evaluations: directories of `factory eval -o`.
     """
-    farm_view = Recent(lambda: farm.read_view(workspace), _FARM_AGE_S)
     app = Starlette(
-        routes=[*all_routes(farm_view), *more_routes],
+        routes=[*all_routes(context.farm), *more_routes],
         exception_handlers={HTTPException: _answer_http_error, FactoryError: _answer_failure, Exception: _answer_bug},
     )
-    app.state.context = WebContext(
-        workspace=workspace,
-        farm=farm_view,
-        marks=Marks(workspace.site),
-        frames=FrameStore(workspace),
-        administer=administer,
-        evaluations=Evaluations(evaluations),
-        statistics=statistics,
-    )
+    app.state.context = context
     return RequestGuard(app, address, access)
 
 
