@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import shutil
+import signal
 import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -98,12 +100,12 @@ class SlurmCluster:
     ) -> None:
         self._end()
 
-    def call(self, *words: object, accepted: str = "") -> str:
-        """Runs a command of Slurm and returns its output; an error with the text `accepted` is accepted too."""
+    def call(self, *words: object, accepted: tuple[str, ...] = ()) -> str:
+        """Runs a command of Slurm and returns its output; an error with one of the texts `accepted` is accepted too."""
         done = subprocess.run(
             [*map(str, words)], env=self.environment, capture_output=True, text=True, check=False, timeout=60
         )
-        assert done.returncode == 0 or (accepted and accepted in done.stderr), f"{words}: {done.stderr}"
+        assert done.returncode == 0 or any(text in done.stderr for text in accepted), f"{words}: {done.stderr}"
         return done.stdout.strip()
 
     def state_of(self, job: int | str) -> str:
@@ -128,13 +130,28 @@ class SlurmCluster:
         finally:
             self.call("scontrol", "update", f"nodename={','.join(nodes)}", "state=resume")
 
+    @contextmanager
+    def frozen(self, task: str, node: str) -> Iterator[None]:
+        """Stops the simulation process of a task while the context is open, so that the task cannot finish its job."""
+        number = re.search(r"JobId=(\d+)", self.call("scontrol", "show", "job", task))
+        assert number is not None, task
+        pids = [
+            pid
+            for pid in _task_processes(f"{self._folder}/spool-{node}/job{int(number[1]):05}/")
+            if "workers.sim.simulate" in Path(f"/proc/{pid}/cmdline").read_text()
+        ]
+        _signal_all(pids, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            _signal_all(pids, signal.SIGCONT)
+
     def kill_node(self, name: str) -> None:
         """Kills the daemon of a node and the tasks that it runs, as a power failure does, and reports the node down."""
         process = self._processes.pop(name)
         process.kill()
         process.wait()
-        for pid in _task_processes(f"{self._folder}/spool-{name}"):
-            os.kill(pid, 9)
+        _signal_all(_task_processes(f"{self._folder}/spool-{name}"), signal.SIGKILL)
         self.call("scontrol", "update", f"nodename={name}", "state=down", "reason=test")
 
     def start_node(self, name: str) -> None:
@@ -191,9 +208,13 @@ class SlurmCluster:
         self._kill_tasks()  # the controller may have started more
 
     def _kill_tasks(self) -> None:
-        for pid in _task_processes(str(self._folder)):
-            with contextlib.suppress(ProcessLookupError):  # ended with the process before it
-                os.kill(pid, 9)
+        _signal_all(_task_processes(str(self._folder)), signal.SIGKILL)
+
+
+def _signal_all(pids: Iterable[int], number: int) -> None:
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):  # ended with the process before it
+            os.kill(pid, number)
 
 
 def _task_processes(text: str) -> list[int]:

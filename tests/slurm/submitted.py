@@ -170,11 +170,17 @@ class SubmittedRun:
         )
 
     def reach_time_limit(self) -> None:
-        """Shortens the time limit of a running task, which queues itself again before its end."""
+        """Shortens the time limit of a running task, which queues itself again before its end.
+
+        The simulation process of the task is stopped, because a shard needs less time than Slurm until its next check
+        of the limits on a fast machine.
+        """
 
         def shorten(task: Task) -> None:
-            self._limit(f"{self.array}_{task.number}", _SHORT_LIMIT)
-            self._cluster.wait(lambda: not self._runs(task.number), "the signal before the time limit")
+            name = f"{self.array}_{task.number}"
+            with self._cluster.frozen(name, task.node):
+                self._limit(name, _SHORT_LIMIT)
+                self._cluster.wait(lambda: not self._runs(task.number), "the signal before the time limit")
 
         def lengthen(task: Task) -> None:
             self._limit(f"{self.array}_{task.number}", _LIMIT)
@@ -285,11 +291,11 @@ class SubmittedRun:
 
     def _requeue(self, job: str) -> None:
         """Queues a job again; one that has just queued itself again at its time limit stays as it is."""
-        self._cluster.call("scontrol", "requeue", job, accepted="Job is pending execution")
+        self._cluster.call("scontrol", "requeue", job, accepted=("Job is pending execution",))
 
     def _limit(self, job: str, limit: str) -> None:
         """Sets the time limit of a job; one that has ended keeps its limit."""
-        accepted = "Job/step already completing or completed"
+        accepted = ("Job/step already completing or completed", "Job has already finished")
         self._cluster.call("scontrol", "update", f"jobid={job}", f"timelimit={limit}", accepted=accepted)
 
     def _runs(self, number: int) -> bool:
