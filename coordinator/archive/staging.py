@@ -18,6 +18,7 @@ from schemas.errors import WorldError
 from schemas.job import episode_id
 from schemas.storage.dataset_files import STAGING
 from schemas.storage.disk import translated, world_error
+from schemas.storage.shards import MAX_PACKED_BYTES
 from schemas.support.closing import Closing
 
 _LOCK = ".lock"
@@ -89,13 +90,17 @@ class Staged(Closing):
         return self._hash.hexdigest()
 
     def flush(self) -> None:
-        """Flushes the bytes durably to the disk.
+        """Flushes the bytes durably to the disk, and frees the page cache of a large file that was transferred.
+
+        The next file is then written to the same memory. Small files keep their cache, because packing reads them.
 
         Raises:
             WorldError: the disk is full or unavailable; the part file has been removed.
         """
         try:
             os.fsync(self._file.fileno())
+            if self.size > MAX_PACKED_BYTES and not self.is_linked:
+                os.posix_fadvise(self._file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         except OSError as error:
             self.abandon()
             raise world_error("write", self.path.parent, error) from error

@@ -1,4 +1,4 @@
-"""The lock of the coordinator: checking it never blocks a coordinator."""
+"""The lock of the coordinator, which is checked without blocking one, and the part files."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 
 from coordinator.archive.staging import Staging, is_held
 from schemas.errors import WorldError
+from schemas.storage.shards import MAX_PACKED_BYTES
 
 HOLD = """
 import sys
@@ -63,3 +64,35 @@ def test_an_unreadable_lock_does_not_count_as_free(tmp_path: Path) -> None:
     Staging(tmp_path, "dataset").close()
     (tmp_path / ".lock").chmod(0)
     assert is_held(tmp_path) is None
+
+
+def test_only_large_transferred_files_leave_the_page_cache(tmp_path: Path) -> None:
+    control = tmp_path / "control"
+    control.write_bytes(bytes(4096))
+    with control.open("rb") as file:
+        os.fsync(file.fileno())
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    if _is_cached(control, 0):
+        pytest.skip("the file system of this folder does not free its page cache")
+    with closing(Staging(tmp_path, "dataset")) as staging, staging.stage(1) as large, staging.stage(2) as small:
+        large.write(b"x" * (MAX_PACKED_BYTES + 1))
+        small.write(b"x" * MAX_PACKED_BYTES)
+        assert _is_cached(large.path, 0)
+        large.flush()
+        small.flush()
+        assert not any(_is_cached(large.path, at) for at in (0, MAX_PACKED_BYTES // 2, MAX_PACKED_BYTES))
+        assert _is_cached(small.path, 0)
+        assert large.path.read_bytes() == b"x" * (MAX_PACKED_BYTES + 1)
+        with staging.stage(3) as linked:
+            linked.link(large.path)
+            linked.flush()
+            assert _is_cached(large.path, 0)
+
+
+def _is_cached(path: Path, at: int) -> bool:
+    """Returns whether a byte of a file can be read without access to the disk."""
+    with path.open("rb", buffering=0) as file:
+        try:
+            return os.preadv(file.fileno(), [bytearray(1)], at, os.RWF_NOWAIT) == 1
+        except BlockingIOError:
+            return False
