@@ -5,6 +5,7 @@ The module does not change jobs; `claims`, `outcomes` and `operator` do.
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -157,6 +158,12 @@ def read_info(connection: Connection) -> LedgerInfo:
         raise WorldError(f"the ledger is damaged: its description cannot be read ({said})") from error
 
 
+@functools.lru_cache(maxsize=2)
+def _read_plan(text: str) -> Plan:
+    """Reads a plan; a reader asks for the same one with every progress."""
+    return Plan.model_validate_json(text)
+
+
 def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
     found = int(facts["format"])
     if found > LEDGER_FORMAT:
@@ -164,7 +171,7 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
             f"the ledger has format {found}, this software reads formats up to {LEDGER_FORMAT}: use the newer "
             "minivla-factory that wrote it"
         )
-    plan = Plan.model_validate_json(facts["plan"])
+    plan = _read_plan(facts["plan"])
     if (plan.digest, plan.run) != (facts["plan_digest"], facts["run"]):
         raise ValueError(f"its plan is not that of run {facts['run']}")
     return LedgerInfo(

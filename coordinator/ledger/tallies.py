@@ -19,6 +19,8 @@ _COUNT_JOBS = select(
 _COUNT_ATTEMPTS = select(
     attempts.c.outcome, func.count().label("attempts"), func.sum(attempts.c.steps).label("steps")
 ).group_by(attempts.c.outcome)
+_HAS_TALLIES = "has_tallies"
+"""Key of the connections of a ledger with counts, which it keeps."""
 _TALLIES = ((jobs, job_tallies, _COUNT_JOBS), (attempts, attempt_tallies, _COUNT_ATTEMPTS))
 
 
@@ -60,7 +62,9 @@ def attempt_counts(connection: Connection) -> Select[Any]:
 
 def _has_tallies(connection: Connection) -> bool:
     """Returns whether a ledger has counts; one of an older version has none until it is opened for writing."""
-    return inspect(connection).has_table(job_tallies.name)
+    if _HAS_TALLIES not in connection.info and inspect(connection).has_table(job_tallies.name):
+        connection.info[_HAS_TALLIES] = True
+    return _HAS_TALLIES in connection.info
 
 
 def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:

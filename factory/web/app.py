@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from http import HTTPStatus
 from pathlib import Path
 
@@ -17,21 +17,16 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from coordinator.status.address import HttpAddress
-from factory.dataset.marks import Marks
 from factory.html import render
 from factory.html.palette import REASON_COLOURS
 from factory.web.access import Access
-from factory.web.context import WebContext, page
-from factory.web.evaluations import Evaluations
-from factory.web.figures.store import StatisticsStore
+from factory.web.context import FarmView, WebContext, page
 from factory.web.forms import read_form
-from factory.web.frames import FrameStore
 from factory.web.guard import RequestGuard, signed_in
 from factory.web.pages import episode, episodes, evaluation, farm, operations, scene3d, scenes, statistics
 from factory.web.pages.find import NoEpisode
-from factory.web.workspace import Workspace
+from factory.web.recent import Recent
 from schemas.errors import FactoryError, UsageError
-from schemas.protocol.administration import AdminReply, AdminRequest
 
 _PAGES = (episodes, episode, scenes, scene3d, statistics, evaluation, operations)
 _STATIC = Path(__file__).parent / "static"
@@ -39,42 +34,35 @@ log = structlog.get_logger(__name__)
 
 
 def create_app(
-    workspace: Workspace,
-    address: HttpAddress,
-    access: Access,
-    administer: Callable[[AdminRequest], AdminReply],
-    statistics: StatisticsStore,
-    more_routes: Iterable[BaseRoute] = (),
-    evaluations: Sequence[Path] = (),
+    context: WebContext, address: HttpAddress, access: Access, more_routes: Iterable[BaseRoute] = ()
 ) -> ASGIApp:
     """Returns the application of a dataset.
 
     Args:
-        workspace: the dataset and its run.
+        context: state that all requests share.
         address: configured address of the server.
         access: token and reading rights.
-        administer: function that executes an admin request on the run.
-        statistics: figures of the dataset.
         more_routes: further routes, for example the status pages of a coordinator.
-        evaluations: directories of `factory eval -o`.
     """
     app = Starlette(
-        routes=[*all_routes(workspace), *more_routes],
+        routes=[*all_routes(context.farm), *more_routes],
         exception_handlers={HTTPException: _answer_http_error, FactoryError: _answer_failure, Exception: _answer_bug},
     )
-    app.state.context = WebContext(
-        workspace, Marks(workspace.site), FrameStore(workspace), administer, Evaluations(evaluations), statistics
-    )
+    app.state.context = context
     return RequestGuard(app, address, access)
 
 
-def all_routes(workspace: Workspace) -> list[BaseRoute]:
-    """Returns the routes of all pages, their images and their static files."""
+def all_routes(farm_view: Recent[FarmView]) -> list[BaseRoute]:
+    """Returns the routes of all pages, their images and their static files.
+
+    Args:
+        farm_view: content of the farm page.
+    """
     return [
         Route("/login", login, methods=["GET", "POST"]),
         Route("/static/page.css", style),
         Mount("/static", StaticFiles(directory=_STATIC)),
-        *farm.routes(workspace),
+        *farm.routes(farm_view),
         *(route for module in _PAGES for route in module.routes()),
     ]
 

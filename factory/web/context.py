@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
@@ -14,6 +15,7 @@ from factory.web.evaluations import Evaluations
 from factory.web.figures.store import StatisticsStore
 from factory.web.floors import FloorStore
 from factory.web.frames import FrameStore
+from factory.web.recent import Recent
 from factory.web.workspace import Workspace
 from schemas.protocol.administration import AdminReply, AdminRequest
 
@@ -27,12 +29,23 @@ NAVIGATION = (
 """Paths and titles of the pages."""
 
 
+class FarmView(NamedTuple):
+    """Content of the farm page at one time."""
+
+    fragment: str
+    """The part of the page that changes, as HTML."""
+    failed_scenes: list[tuple[str, int]]
+    """Scenes whose failures are drawn, with their number."""
+
+
 @dataclass(frozen=True)
 class WebContext:
     """Parts of one application."""
 
     workspace: Workspace
     """The dataset and its run."""
+    farm: Recent[FarmView]
+    """Content of the farm page, shared by all requests of some seconds."""
     marks: Marks
     """Flags and notes."""
     frames: FrameStore

@@ -124,6 +124,11 @@ class FrameStore:
         self._pool.submit(self._make, episode, made, turn)
         return made[key]
 
+    @property
+    def has_prepared(self) -> bool:
+        """Whether `prepare` has been called."""
+        return self._prepared is not None
+
     def prepare(self, keys: Sequence[FrameKey]) -> None:
         """Renders images in the background, one after another, so that the renderer and their scenes are prepared.
 

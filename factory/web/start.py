@@ -16,15 +16,24 @@ from coordinator.admin import administer as administer_dataset
 from coordinator.protocol.ask import OPERATOR
 from coordinator.protocol.tls import read_credentials
 from coordinator.status.address import parse_address
+from factory.dataset.marks import Marks
 from factory.dataset.site import Site
 from factory.html import compile_templates
 from factory.web.access import Access
 from factory.web.app import create_app
+from factory.web.context import WebContext
+from factory.web.evaluations import Evaluations
 from factory.web.figures.store import StatisticsStore
+from factory.web.frames import FrameKey, FrameStore
+from factory.web.pages.farm import read_view
+from factory.web.recent import Recent
 from factory.web.server import WebServer
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError
 from schemas.protocol.administration import AdminReply, AdminRequest
+
+_FARM_AGE_S = 3.0
+"""Greatest age of the shown state of a run, seconds."""
 
 
 @contextmanager
@@ -37,6 +46,8 @@ def serve(
     administer: Callable[[AdminRequest], AdminReply] | None = None,
     more_routes: Iterable[BaseRoute] = (),
     evaluations: Sequence[Path] = (),
+    *,
+    renders_ahead: bool = False,
 ) -> Iterator[str]:
     """Serves the web page of a dataset while the context is open; yields its URL, with the token if it was chosen here.
 
@@ -50,6 +61,8 @@ def serve(
             changes the ledger if none runs.
         more_routes: further routes of the application.
         evaluations: directories of `factory eval -o`.
+        renders_ahead: renders the first frame of a dataset of states at once, so that the first viewer does not wait
+            for the start of a rendering process; not beside a run.
 
     Raises:
         UsageError: the address is malformed, or other machines can reach it without a token and without TLS.
@@ -62,17 +75,28 @@ def serve(
     def ask(request: AdminRequest) -> AdminReply:
         return administer_dataset(site.state_dir, request, datetime.now(UTC), ledger, name=name, tls=files)
 
-    workspace = Workspace(site, ledger)
-    statistics = StatisticsStore(str(site))
-    app = create_app(workspace, address, access, administer or ask, statistics, more_routes, evaluations)
+    workspace, statistics = Workspace(site, ledger), StatisticsStore(str(site))
+    context = WebContext(
+        workspace=workspace,
+        farm=Recent(lambda: read_view(workspace), _FARM_AGE_S),
+        marks=Marks(site),
+        frames=FrameStore(workspace),
+        administer=administer or ask,
+        evaluations=Evaluations(evaluations),
+        statistics=statistics,
+    )
+    app = create_app(context, address, access, more_routes)
     with statistics, WebServer(app, address, files) as server:
-        threading.Thread(target=_prepare, args=(workspace,), name="prepare", daemon=True).start()
+        threading.Thread(target=_prepare, args=(context, renders_ahead), name="prepare", daemon=True).start()
         yield server.url + ("" if token else f"/?token={access.token}")
 
 
-def _prepare(workspace: Workspace) -> None:
+def _prepare(context: WebContext, renders_ahead: bool) -> None:
     """Compiles templates and statements and reads the tables, so that the first requests do not; they raise errors."""
+    with contextlib.suppress(FactoryError):
+        names = context.workspace.dataset().column("episode_id")
+        if renders_ahead and len(names) and not context.workspace.is_written():
+            context.frames.prepare([FrameKey(str(names[0]), 0, "rgb", is_small=False)])
     compile_templates("web")
-    for read in (workspace.farm, workspace.table):
-        with contextlib.suppress(FactoryError):
-            read()
+    with contextlib.suppress(FactoryError):
+        context.workspace.farm()

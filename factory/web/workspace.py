@@ -144,12 +144,16 @@ class Workspace:
                 self._packaged, self._listed = frozenset(packages_by_scene(self.root / SCENES)), time.monotonic()
             return self._packaged
 
+    def is_written(self) -> bool:
+        """Returns whether a coordinator of this machine adds episodes to the dataset."""
+        return bool(is_held(self.site.state_dir))
+
     def ledger_health(self) -> str:
         """Returns kind and size of the ledger, and whether a coordinator writes to it."""
         if self.ledger is not None:
             return f"{self.ledger.partition('://')[0]} database"
         sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.state_dir)) if path.exists()]
-        writer = "a coordinator writes to it" if is_held(self.site.state_dir) else "no coordinator writes to it"
+        writer = "a coordinator writes to it" if self.is_written() else "no coordinator writes to it"
         return f"{format_bytes(sum(sizes))}, {writer}"
 
     def _read_dataset(self) -> Dataset:

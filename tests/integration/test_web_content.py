@@ -9,6 +9,7 @@ import struct
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -25,6 +26,7 @@ from factory.dataset.rendering.shared_renderer import shared_renderer
 from factory.eval.models.result import Variant
 from factory.eval.results.compare import compare
 from factory.relabel.route import STEPS_SCHEMA
+from factory.web.pages.episodes import prepare_scenes
 from schemas.language.route.model import RouteStep
 from schemas.plan import Plan
 from schemas.protocol.messages import Hello, HostMemory
@@ -210,3 +212,22 @@ def test_the_table_of_states_episodes_prepares_the_renderer_before_an_episode_is
         assert shared_renderer().prepared_scenes == []
         client.ask("/episodes")
         until(lambda: any(scene in prepared for prepared in shared_renderer().prepared_scenes))
+
+
+def test_a_server_that_renders_ahead_prepares_the_renderer_before_any_page_is_opened(recordings, monkeypatch):
+    monkeypatch.setenv("MINIVLA_RENDERER", "auto")
+    scene = Dataset(recordings[Recording.STATES])[0].package.sha256
+    with web_page(recordings[Recording.STATES], renders_ahead=True):
+        until(lambda: any(scene in prepared for prepared in shared_renderer().prepared_scenes))
+
+
+@pytest.mark.parametrize(("is_written", "prepared"), [(False, [4, 4]), (True, [1])])
+def test_beside_a_run_only_the_first_table_prepares_a_scene(monkeypatch, is_written: bool, prepared: list[int]):
+    calls: list[int] = []
+    frames = SimpleNamespace(prepare=lambda keys: calls.append(len(keys)))
+    context = SimpleNamespace(frames=frames, workspace=SimpleNamespace(is_written=lambda: is_written))
+    rows = [{"scene": f"home_{number:05}", "episode_id": f"ep_{number:06}"} for number in range(6)]
+    for _ in range(2):
+        frames.has_prepared = bool(calls)
+        prepare_scenes(context, rows)  # type: ignore[arg-type]
+    assert calls == prepared

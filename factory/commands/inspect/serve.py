@@ -36,6 +36,7 @@ def execute(
     for folder in evaluations:
         read_manifest(folder)  # raises before the server starts
     token = read_token(http_token) if http_token is not None else None
-    with serve(site, http, token, tls, ledger, evaluations=evaluations) as url, stop_on_signals() as (stop, _):
+    served = serve(site, http, token, tls, ledger, evaluations=evaluations, renders_ahead=True)
+    with served as url, stop_on_signals() as (stop, _):
         click.echo(f"web page of {site}: {url}")
         stop.wait()

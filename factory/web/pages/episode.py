@@ -177,8 +177,7 @@ def _points(rows: Any) -> str:
 def _plots(episode: Episode, hz: int) -> list[tuple[str, str]]:
     """Returns title and drawing of each plot over time."""
     actions, tokens, end_s = episode.actions, episode.tokens, (len(episode) - 1) / hz
-    goal = Goal.of_episode(episode.meta)
-    distance = np.array([goal.distance(x, y) for x, y in episode.poses[:, :2].tolist()])
+    distance = Goal.of_episode(episode.meta).distances(episode.poses[:, :2])
     series = (
         ("speed v", "m/s", actions[:, 0]),
         ("turn rate w", "rad/s", actions[:, 1]),

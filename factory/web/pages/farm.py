@@ -17,8 +17,9 @@ from coordinator.ledger.reading.farm import FarmReading, RunningJob
 from factory.html import render
 from factory.support.text import format_bytes, format_duration, format_time
 from factory.web.charts import draw_columns
-from factory.web.context import context_of, page
+from factory.web.context import FarmView, context_of, page
 from factory.web.live import LiveFeed
+from factory.web.recent import Recent
 from factory.web.workspace import Farm, Workspace
 from schemas.errors import FactoryError
 from schemas.job import episode_id
@@ -62,35 +63,32 @@ class WorkerRow:
     """Used and total memory of its host."""
 
 
-def routes(workspace: Workspace) -> list[Route]:
-    """Returns the routes of the page."""
-    feed = LiveFeed(lambda: draw_fragment(workspace))
-    return [Route("/", show), Route("/live", feed)]
+def routes(view: Recent[FarmView]) -> list[Route]:
+    """Returns the routes of the page.
+
+    Args:
+        view: result of `read_view`, shared by all tabs and requests.
+    """
+    return [Route("/", show), Route("/live", LiveFeed(lambda: view.get().fragment))]
 
 
 def show(request: Request) -> Response:
     """Answers with the page."""
-    workspace = context_of(request).workspace
-    farm = _read(workspace)
-    failed = list(farm.failed.items())[:_MAPS] if isinstance(farm, Farm) else []
-    return page(request, "farm", "Farm", fragment=_draw(workspace, farm), failed_scenes=failed)
+    view = context_of(request).farm.get()
+    return page(request, "farm", "Farm", fragment=view.fragment, failed_scenes=view.failed_scenes)
 
 
-def draw_fragment(workspace: Workspace) -> str:
-    """Returns the part of the page that changes, as HTML."""
-    return _draw(workspace, _read(workspace))
-
-
-def _read(workspace: Workspace) -> Farm | FactoryError:
+def read_view(workspace: Workspace) -> FarmView:
+    """Returns the content of the page as the ledger is now; without a readable ledger, the page names the reason."""
     try:
-        return workspace.farm()
+        farm = workspace.farm()
     except FactoryError as error:
-        return error
+        text = render("web/no_farm.html", trouble=str(error), tables=_tables(workspace), disk=_disk(workspace))
+        return FarmView(text, [])
+    return FarmView(_draw(workspace, farm), list(farm.failed.items())[:_MAPS])
 
 
-def _draw(workspace: Workspace, farm: Farm | FactoryError) -> str:
-    if isinstance(farm, FactoryError):
-        return render("web/no_farm.html", trouble=str(farm), tables=_tables(workspace), disk=_disk(workspace))
+def _draw(workspace: Workspace, farm: Farm) -> str:
     progress, reading = farm.progress, farm.reading
     done = progress.jobs.get("archived", 0)
     return render(

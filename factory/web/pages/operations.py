@@ -11,7 +11,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from factory.export.execution.selection import parse_episodes
-from factory.web.context import context_of, page
+from factory.web.context import WebContext, context_of, page
 from factory.web.forms import read_form
 from schemas.errors import FactoryError, UsageError
 from schemas.job import episode_id, index_of_file
@@ -50,10 +50,18 @@ async def operate(request: Request) -> Response:
     if fields.get("confirm") != "1":
         return _page(request, action, "Confirm the operation first.", 400)
     try:
-        reply = await run_in_threadpool(context_of(request).administer, _request(action, fields))
+        reply = await run_in_threadpool(_execute, context_of(request), _request(action, fields))
     except FactoryError as error:
         return _page(request, action, str(error), 400 if isinstance(error, UsageError) else 503)
     return _page(request, action, _describe(action, reply))
+
+
+def _execute(context: WebContext, request: AdminRequest) -> AdminReply:
+    """Executes a request on the run; the farm page shows the state after it."""
+    try:
+        return context.administer(request)
+    finally:
+        context.farm.forget()
 
 
 def _request(action: AdminAction, fields: dict[str, str]) -> AdminRequest:
