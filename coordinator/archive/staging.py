@@ -5,6 +5,7 @@ Opening deletes the part files of a previous process. The module does not read o
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -99,11 +100,12 @@ class Staged(Closing):
         """
         try:
             os.fsync(self._file.fileno())
-            if self.size > MAX_PACKED_BYTES and not self.is_linked:
-                os.posix_fadvise(self._file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         except OSError as error:
             self.abandon()
             raise world_error("write", self.path.parent, error) from error
+        if self.size > MAX_PACKED_BYTES and not self.is_linked:
+            with contextlib.suppress(OSError):  # a file system may refuse the advice; the bytes are on the disk
+                os.posix_fadvise(self._file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
     def abandon(self) -> None:
         """Closes and deletes the part file. Does nothing if it is published or abandoned already."""
