@@ -20,7 +20,7 @@ READY   := $(VENV)/.ready
 .PHONY: install-slurm test-engines test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
-	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
+	@echo "ready; next: make run (a demo dataset in ./dataset), deploy/README.md (clusters), or $(VENV)/bin/factory --help"
 
 $(READY): requirements.txt pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "Python 3.11 is needed (PyBullet has no wheels for later ones); install python3.11 and python3.11-venv, or call make PYTHON=/path/to/python3.11"; exit 1; }

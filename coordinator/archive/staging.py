@@ -5,6 +5,7 @@ Opening deletes the part files of a previous process. The module does not read o
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -18,6 +19,7 @@ from schemas.errors import WorldError
 from schemas.job import episode_id
 from schemas.storage.dataset_files import STAGING
 from schemas.storage.disk import translated, world_error
+from schemas.storage.shards import MAX_PACKED_BYTES
 from schemas.support.closing import Closing
 
 _LOCK = ".lock"
@@ -89,7 +91,9 @@ class Staged(Closing):
         return self._hash.hexdigest()
 
     def flush(self) -> None:
-        """Flushes the bytes durably to the disk.
+        """Flushes the bytes durably to the disk, and frees the page cache of a large file that was transferred.
+
+        The next file is then written to the same memory. Small files keep their cache, because packing reads them.
 
         Raises:
             WorldError: the disk is full or unavailable; the part file has been removed.
@@ -99,6 +103,9 @@ class Staged(Closing):
         except OSError as error:
             self.abandon()
             raise world_error("write", self.path.parent, error) from error
+        if self.size > MAX_PACKED_BYTES and not self.is_linked:
+            with contextlib.suppress(OSError):  # a file system may refuse the advice; the bytes are on the disk
+                os.posix_fadvise(self._file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
     def abandon(self) -> None:
         """Closes and deletes the part file. Does nothing if it is published or abandoned already."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
-from sqlalchemy import bindparam, delete, insert, select
+from sqlalchemy import bindparam, delete, func, insert, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.database.prepared import PreparedStatement
@@ -32,6 +32,11 @@ def note_unchecked(connection: Connection, index: int, host: str) -> None:
 def note_checked(connection: Connection, index: int) -> None:
     """Records that the coordinator has validated an episode completely, or that the episode is lost."""
     connection.execute(delete(unchecked_episodes).where(unchecked_episodes.c.idx == index))
+
+
+def count_unchecked(connection: Connection) -> int:
+    """Returns the number of archived episodes whose frames only their worker has validated."""
+    return connection.execute(select(func.count()).select_from(unchecked_episodes)).scalar_one()
 
 
 def suspects(connection: Connection, most: int) -> Sequence[int]:

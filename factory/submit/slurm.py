@@ -220,6 +220,11 @@ def write_scripts(job: SlurmJob, mode: Mode) -> Sequence[Path]:
     return paths
 
 
+def order_of(mode: Mode) -> tuple[str, str, str]:
+    """Returns the names of the first and the second job, and the kind of dependency of the second on the first."""
+    return ("shards", "gather", "afterany") if mode == "shards" else ("coordinator", "workers", "after")
+
+
 def submit_all(job: SlurmJob, mode: Mode) -> dict[str, int]:
     """Submits the written scripts with their dependencies; returns the job ids by name.
 
@@ -227,9 +232,8 @@ def submit_all(job: SlurmJob, mode: Mode) -> dict[str, int]:
         UsageError: this host has no `sbatch`.
         WorldError: Slurm refuses a job; no job remains.
     """
-    first, second = ("shards", "gather") if mode == "shards" else ("coordinator", "workers")
+    first, second, when = order_of(mode)
     leading = submit(job.run / "slurm" / f"{first}.sh")
-    when = "afterany" if mode == "shards" else "after"
     try:
         following = submit(job.run / "slurm" / f"{second}.sh", f"--dependency={when}:{leading}")
     except WorldError:

@@ -87,6 +87,8 @@ class Progress(Model):
     """Time to the end at that rate, seconds; `None` if unknown, 0 if finished."""
     finished: bool
     """Whether no job can change its state without a `retry`."""
+    paused: bool = False
+    """Whether no job is leased until an operator resumes the run."""
     sandbox: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
     """Sandbox mechanisms of the coordinator's validation processes, e.g. `seccomp`; empty before the first bundle."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,12 @@ def test_a_refused_run_leaves_nothing_so_that_the_command_can_be_repeated(
     assert set(submitted["jobs"].values()) == {7}
     assert all(Path(script).is_file() for script in submitted["scripts"])
     again = site(*command, "--partition", "cpu", expect=2)
-    assert "exists: choose another --out, or submit the scripts in" in again.stderr
+    assert "exists: choose another --out, or continue its run with" in again.stderr
+    command_again = again.stderr.split("`")[1]
+    env = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    done = subprocess.run(["bash", "-c", command_again], env=env, capture_output=True, text=True, check=True)
+    assert done.stdout == "7\n"
+    assert (f"--dependency={'afterany' if mode == 'shards' else 'after'}:") in command_again
 
 
 def test_commands_accept_the_folder_of_a_submitted_run_or_name_its_dataset(

@@ -17,8 +17,9 @@ from factory.bench.machine import StageRecorder
 from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.serve import bench_serve
 from factory.bench.reading.synthetic import make_synthetic
-from factory.bench.sample import BenchSample, enlarge
+from factory.bench.sample import BenchSample, enlarge, first_attempts
 from factory.bench.service.coordinator import bench_coordinator
+from factory.bench.service.delivery import bench_delivery
 from factory.bench.simulation.memory import bench_memory
 from factory.bench.simulation.render import bench_render
 from factory.bench.simulation.rollout import bench_rollout
@@ -129,16 +130,22 @@ def test_no_memory_figure_is_reported_for_a_failed_simulation(room: Path) -> Non
         bench_memory([job_in(room)], {"box_room": nowhere}, COMMAND, 20, lambda: None)
 
 
-def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Path) -> None:
-    parts = parts_for(job_for(1))
-    with open_archive(tmp_path / "sample") as archive, archive.stage(1) as staged:
+def _archived_sample(root: Path, job: Job) -> BenchSample:
+    parts = parts_for(job)
+    with open_archive(root) as archive, archive.stage(1) as staged:
         staged.write(parts.write())
         path = archive.publish(staged, 1)
+    assert isinstance(path, Path)
+    return BenchSample(parts.meta.job, path)
+
+
+def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Path) -> None:
+    sample = _archived_sample(tmp_path / "sample", job_for(1))
     (tmp_path / "bench").mkdir()
     found = bench_coordinator(
         room_plan(200),
         room_catalog(tmp_path),
-        [BenchSample(parts.meta.job, path)],
+        [sample],
         tmp_path / "bench",
         workers=4,
         sessions=8,
@@ -162,6 +169,29 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert 30 < found.wire.delivery_load.memory.start_mib <= found.wire.delivery_load.memory.peak_mib
     # bundles of the burst and of the previous cycles
     assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4
+
+
+def test_deliveries_are_counted_by_who_has_validated_them(tmp_path: Path) -> None:
+    plan, catalog, folder, told = room_plan(1), room_catalog(tmp_path), tmp_path / "bench", list[int]()
+    sample = _archived_sample(tmp_path / "sample", first_attempts(plan, catalog, "room")[0])
+    folder.mkdir()
+    found = bench_delivery(
+        plan,
+        catalog,
+        [sample],
+        folder,
+        episodes=6,
+        workers=2,
+        pullers=2,
+        shares=(None, 0.0, 1.0),
+        tell=lambda: told.append(1),
+    )
+    assert (found.episodes, found.frames, len(told)) == (6, 6 * 12, 3)
+    assert [pace.spot_checks for pace in found.paces] == [None, 0.0, 1.0]
+    assert [pace.validated for pace in found.paces] == [6, 0, 6]
+    assert all(pace.cpu_s > 0 and pace.seconds > 0 for pace in found.paces)
+    # every worker has delivered one bundle before the measurement
+    assert [len(list((folder / f"run{number}" / "episodes").iterdir())) for number in range(3)] == [8, 8, 8]
 
 
 @pytest.mark.gl

@@ -16,7 +16,7 @@ from sqlalchemy.engine import Connection
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.host_memory import read_memory
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.requests import RecordedRequest, is_paused, read_requests
+from coordinator.ledger.requests import RecordedRequest, read_requests
 from coordinator.ledger.states import event_name
 from coordinator.ledger.tables import BUILD, attempts, events, jobs, workers
 from coordinator.ledger.tallies import job_counts
@@ -100,8 +100,6 @@ class FarmReading:
     """Newest events, newest first."""
     history: tuple[Interval, ...]
     """Recent attempts over time, oldest first; empty without attempts."""
-    paused: bool
-    """Whether no job may be leased until an operator resumes the run."""
     requests: tuple[RecordedRequest, ...]
     """Newest admin requests, newest first."""
     memory: dict[str, HostMemory]
@@ -117,7 +115,6 @@ def read_farm(connection: Connection, now: datetime) -> FarmReading:
         frames_per_s=_rates(connection, now.timestamp()),
         events=_events(connection),
         history=_history(connection),
-        paused=is_paused(connection),
         requests=read_requests(connection)[::-1],
         memory=read_memory(connection),
     )

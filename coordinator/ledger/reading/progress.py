@@ -15,6 +15,7 @@ from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
+from coordinator.ledger.requests import is_paused
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import episodes, jobs, workers
 from coordinator.ledger.tallies import attempt_counts, build_counts, job_counts
@@ -67,6 +68,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         episodes_per_hour=pace.per_hour,
         eta_s=pace.eta_s,
         finished=not has_open_jobs(connection),
+        paused=is_paused(connection),
         sandbox=facts.sandbox,
     )
 

@@ -11,14 +11,15 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, to_job
-from coordinator.ledger.database.engine import open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.ledger.unchecked import count_unchecked
 from coordinator.settings import CoordinatorSettings
 from factory.bench.machine import describe_machine
 from factory.bench.sample import BenchSample
 from factory.bench.service.coordinator_process import CoordinatorReady, serve_archive
 from factory.bench.service.delivery_fleet import RecordedBundle, deliver_copies
-from factory.bench.service.delivery_model import DeliveryBench, DeliveryPace
+from factory.bench.service.delivery_model import DeliveryBench, DeliveryCost, DeliveryPace
 from factory.bench.service.wire import process, receive, usage
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import Plan
@@ -74,8 +75,8 @@ def bench_delivery(
         settings = CoordinatorSettings(
             lease_ttl_s=_LEASE_S, reserve_bytes=0, checkpoint_s=_LEASE_S, pullers=pullers, spot_checks=share
         )
-        seconds, cpu_s = _archive_copies(root, plan, catalog, settings, samples, workers)
-        paces.append(DeliveryPace.of(settings, frames, episodes, seconds, cpu_s))
+        cost = _archive_copies(root, plan, catalog, settings, samples, workers)
+        paces.append(DeliveryPace.of(settings, frames, episodes, cost))
         tell()
     return DeliveryBench(
         machine=machine,
@@ -95,8 +96,8 @@ def _archive_copies(
     settings: CoordinatorSettings,
     samples: Sequence[BenchSample],
     workers: int,
-) -> tuple[float, float]:
-    """Returns the wall time and the CPU time of the coordinator in which it archives the planned episodes, seconds."""
+) -> DeliveryCost:
+    """Returns the measurement of a coordinator that archives the planned episodes."""
     paths = [sample.path for sample in samples]
     largest = max(path.stat().st_size for path in paths)
     planned = _planned(plan, [RecordedBundle(path) for path in paths]) if largest * plan.episodes < _READY_BYTES else ()
@@ -110,7 +111,12 @@ def _archive_copies(
             before = usage(coordinator).cpu_s
             fleet.send("go")
             seconds: float = receive(fleet)
-            return seconds, usage(coordinator).cpu_s - before
+            cpu_s = usage(coordinator).cpu_s - before
+    engine = open_reader(ledger_url_of(root))
+    with engine.connect() as connection:
+        unchecked = count_unchecked(connection)
+    engine.dispose()
+    return DeliveryCost(seconds, cpu_s, unchecked)
 
 
 def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[RecordedBundle]) -> None:

@@ -22,7 +22,7 @@ from schemas.encoding.container import ContainerWriter
 from schemas.episode import EpisodeMeta
 from schemas.errors import TransientError
 from schemas.job import Job
-from schemas.protocol.keys import RANGE_FIELDS, Verb, bundle_key, parse_bundle_ranges
+from schemas.protocol.keys import RANGE_FIELDS, Chunk, Verb, bundle_key, parse_bundle_ranges
 from schemas.protocol.messages import Beat, BeatReply, ClaimReply, Done, Lease
 
 _META = "meta.json"
@@ -144,8 +144,13 @@ class DeliveringWorker(BenchWorker):
         with query:
             asked = parse_bundle_ranges({name: query.parameters.get(name) or "" for name in RANGE_FIELDS})
             found = [self._waiting.get((job_id, fence)) for job_id, fence, _ in asked]
-            parts = [of[1][part.offset :][: part.length] for of, (*_, part) in zip(found, asked, strict=True) if of]
+            parts = [_range(of[1], part) for of, (*_, part) in zip(found, asked, strict=True) if of]
             query.reply(bundle_key(self._run, self.sid), b"".join(parts))
+
+
+def _range(data: bytes, part: Chunk) -> bytes:
+    """Returns a range of a bundle, without a copy of the rest."""
+    return data[part.offset : part.offset + part.length]
 
 
 def deliver_copies(

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import NamedTuple, Self
 
 from coordinator.settings import CoordinatorSettings
 from factory.bench.model import Machine
 from schemas.base import Model
 from schemas.terms import Recording
+
+
+class DeliveryCost(NamedTuple):
+    """Measurement of one variant."""
+
+    seconds: float
+    """Wall time, seconds."""
+    cpu_s: float
+    """CPU time of the coordinator and its validating processes, seconds."""
+    unchecked: int
+    """Number of archived episodes whose frames only their worker has validated."""
 
 
 class DeliveryPace(Model):
@@ -17,6 +28,8 @@ class DeliveryPace(Model):
     """Number of bundles that are transferred and validated at a time."""
     spot_checks: float | None
     """Share of the bundles that is validated centrally although their worker has validated them; `None`: all are."""
+    validated: int
+    """Number of episodes that the coordinator validated completely."""
     seconds: float
     """Wall time, seconds; the simulated workers use the same cores."""
     cpu_s: float
@@ -31,11 +44,13 @@ class DeliveryPace(Model):
     """Archived episodes per second of CPU time."""
 
     @classmethod
-    def of(cls, settings: CoordinatorSettings, frames: int, episodes: int, seconds: float, cpu_s: float) -> Self:
-        """Returns the pace of a measurement with the archived frames and episodes and its times, seconds."""
+    def of(cls, settings: CoordinatorSettings, frames: int, episodes: int, cost: DeliveryCost) -> Self:
+        """Returns the pace of a measurement with the archived frames and episodes."""
+        seconds, cpu_s, unchecked = cost
         return cls(
             pullers=settings.pullers,
             spot_checks=settings.spot_checks,
+            validated=episodes - unchecked,
             seconds=seconds,
             cpu_s=cpu_s,
             frames_per_s=frames / seconds,

@@ -29,7 +29,8 @@ def delivery(**options: Any) -> None:
     """Measure how many valid bundles a coordinator archives.
 
     Simulated workers deliver copies of two recorded episodes over the network, with central validation and with spot
-    checks of bundles that the workers have validated.
+    checks of bundles that the workers have validated. The datasets are written to the directory for temporary files;
+    the environment variable TMPDIR selects another one.
     """
     from factory.commands.other.bench_delivery import delivery
 

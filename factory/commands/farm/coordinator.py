@@ -131,7 +131,7 @@ def _print_end(site: Site, progress: Progress) -> int:
 
 def _print_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guard | None) -> None:
     """Prints where the coordinator listens, and the command that starts a worker."""
-    where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
+    where = "on loopback only" if guard is None else f"for the admitted hosts: {len(guard.admitted())}"
     click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
     tls = "" if guard is None else " --tls DIR"
     for endpoint in coordinator.reachable:

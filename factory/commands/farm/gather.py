@@ -88,8 +88,8 @@ def _print_joined(report: JoinReport) -> None:
         rows = [(one.episode, one.shard, one.why) for one in report.rejected[:_LISTED]]
         print_table("", ("rejected", "shard", "reason"), rows)
     click.echo(
-        f"{report.dataset}: {report.gathered} episodes and {report.failed_attempts} failed attempts gathered; the "
-        f"dataset has {report.episodes} of {report.planned} episodes"
+        f"{report.dataset}: {report.gathered} episodes and {report.failed_attempts} failed or returned attempts "
+        f"gathered; the dataset has {report.episodes} of {report.planned} episodes"
     )
     click.echo(f"digest  {report.digest}")
     if report.episodes < report.planned:

@@ -28,7 +28,7 @@ def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int
     if as_json:
         print_json({"host": name, "role": role, "folder": str(place)})
     else:
-        click.echo(f"{role} {name}: copy {place} to the host and pass the folder with --tls")
+        click.echo(f"{role} {name}: pass {place} with --tls on that host; copy the folder there if it is not shared")
 
 
 def revoke_(folder: Path, name: str, as_json: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +19,7 @@ from factory.commands.common.output import print_building, print_json
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.keys import admit, create_authority
 from factory.runs.catalog import open_catalog
-from factory.submit.slurm import Mode, SlurmJob, submit_all, write_scripts
+from factory.submit.slurm import Mode, SlurmJob, order_of, submit_all, write_scripts
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.errors import FactoryError, UsageError, WorldError
@@ -81,7 +82,7 @@ def _submit(job: SlurmJob, mode: Mode) -> dict[str, int]:
 def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
     """Creates the folder of a run with its plan, its scenes and, for workers, its certificates."""
     if job.run.exists():
-        raise UsageError(f"{job.run} exists: choose another --out, or submit the scripts in {job.run / 'slurm'} again")
+        raise UsageError(f"{job.run} exists: choose another --out, or continue its run with {_again(job.run)}")
     catalog = open_catalog(plan, job.dataset, scene_cache(), print_building)
     try:
         with translated("write", job.run):
@@ -96,6 +97,14 @@ def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
     except FactoryError:
         shutil.rmtree(job.run, ignore_errors=True)  # as above
         raise
+
+
+def _again(run: Path) -> str:
+    """Returns the commands that submit the jobs of a run again."""
+    scripts = run / "slurm"
+    first, second, when = order_of("shards" if (scripts / "shards.sh").is_file() else "workers")
+    job = f"$(sbatch --parsable {shlex.quote(str(scripts / first))}.sh)"
+    return f"`sbatch --dependency={when}:{job} {shlex.quote(str(scripts / second))}.sh`"
 
 
 def _copy_scenes(catalog: Catalog, folder: Path) -> None:

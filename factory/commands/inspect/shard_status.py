@@ -62,7 +62,7 @@ def _failed_attempts(state: ShardState) -> int:
 
 
 def _row(place: Place, state: ShardState) -> tuple[str | int, ...]:
-    is_at = "finished" if state.finished else f"written {state.updated_at:%Y-%m-%d %H:%M:%S} UTC by {state.host}"
+    is_at = "finished" if state.finished else f"unfinished at {state.updated_at:%Y-%m-%d %H:%M:%S} UTC on {state.host}"
     jobs = state.jobs
     counts = jobs.get("archived", 0), state.planned, jobs.get("failed", 0), _failed_attempts(state)
     return str(state.shard), *counts, is_at, place.name

@@ -61,7 +61,10 @@ def _inside(site: Site) -> Site:
     if is_dataset(run / "dataset"):
         return site_of(run / "dataset")
     if not any(find_shards(run / "shards")):
-        raise WorldError(f"no task of {run} has started yet: see `squeue`, and the logs in {run / 'slurm'}")
+        raise WorldError(
+            f"no task of {run} has written its state yet, which it does some seconds after its start: see `squeue` "
+            f"and the logs in {run / 'slurm'}"
+        )
     return site_of(run / "shards")
 
 
@@ -119,6 +122,8 @@ def draw_progress(progress: Progress) -> Group:
         f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {format_duration(progress.eta_s)}"
     )
     tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
+    is_waiting = progress.paused and not progress.finished
+    paused = [Text("paused; continue with `factory jobs resume DIR`", style="yellow")] if is_waiting else []
     back = f"; returned jobs: {progress.given_back}" if progress.given_back else ""
     packed = [Text(f"shards of packed episodes: {progress.shards}")] if progress.shards else []
     layouts = [Text(progress.built_layouts)] if progress.layouts else []
@@ -130,7 +135,7 @@ def draw_progress(progress: Progress) -> Group:
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
     hosts = map(_describe_host, progress.hosts)
     sandbox = _describe_sandbox(progress.sandbox)
-    top = (Text(head, style="bold"), *layouts, *away, *packed)
+    top = (Text(head, style="bold"), *paused, *layouts, *away, *packed)
     return Group(*top, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
 
 

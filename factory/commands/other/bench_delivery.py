@@ -51,11 +51,11 @@ def _show(report: DeliveryBench) -> None:
     )
     rows = [
         (
-            *("all" if pace.spot_checks is None else f"{pace.spot_checks:g}", pace.pullers),
+            *("all" if pace.spot_checks is None else f"{pace.spot_checks:g}", pace.validated, pace.pullers),
             *(f"{pace.frames_per_cpu_s:.0f}", f"{pace.episodes_per_cpu_s:.1f}"),
             *(f"{pace.frames_per_s:.0f}", f"{pace.episodes_per_s:.1f}"),
         )
         for pace in report.paces
     ]
-    columns = ("validated", "pullers", "frames/CPU s", "episodes/CPU s", "frames/s", "episodes/s")
+    columns = ("share", "validated", "pullers", "frames/CPU s", "episodes/CPU s", "frames/s", "episodes/s")
     print_table(title, columns, rows)

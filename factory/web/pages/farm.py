@@ -112,7 +112,7 @@ def _draw(workspace: Workspace, farm: Farm) -> str:
         gateways=progress.by_gateway,
         disk=_disk(workspace),
         ledger=f"format {farm.info.format}, {workspace.ledger_health()}",
-        paused=reading.paused,
+        paused=progress.paused,
         requests=[(format_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
     )
 

@@ -1,7 +1,9 @@
-"""The lock of the coordinator: checking it never blocks a coordinator."""
+"""The lock of the coordinator, which is checked without blocking one, and the part files."""
 
 from __future__ import annotations
 
+import ctypes
+import mmap
 import os
 import subprocess
 import sys
@@ -13,6 +15,7 @@ import pytest
 
 from coordinator.archive.staging import Staging, is_held
 from schemas.errors import WorldError
+from schemas.storage.shards import MAX_PACKED_BYTES
 
 HOLD = """
 import sys
@@ -63,3 +66,39 @@ def test_an_unreadable_lock_does_not_count_as_free(tmp_path: Path) -> None:
     Staging(tmp_path, "dataset").close()
     (tmp_path / ".lock").chmod(0)
     assert is_held(tmp_path) is None
+
+
+def test_only_large_transferred_files_leave_the_page_cache(tmp_path: Path) -> None:
+    control = tmp_path / "control"
+    control.write_bytes(bytes(_LARGE))
+    with control.open("rb") as file:
+        os.fsync(file.fileno())
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    if _cached_share(control) > 0.5:
+        pytest.skip("the file system of this folder does not free its page cache")
+    with closing(Staging(tmp_path, "dataset")) as staging, staging.stage(1) as large, staging.stage(2) as small:
+        large.write(b"x" * _LARGE)
+        small.write(b"x" * MAX_PACKED_BYTES)
+        assert _cached_share(large.path) > 0.5
+        large.flush()
+        small.flush()
+        assert _cached_share(large.path) < 0.5
+        assert _cached_share(small.path) > 0.5
+        assert large.path.read_bytes() == b"x" * _LARGE
+        with staging.stage(3) as linked:
+            linked.link(large.path)
+            linked.flush()
+            assert _cached_share(large.path) > 0.5
+
+
+_LARGE = 8 * MAX_PACKED_BYTES
+
+
+def _cached_share(path: Path) -> float:
+    """Returns the share of the pages of a file that are in the page cache; a read would start to read ahead."""
+    with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as mapped:
+        found = (ctypes.c_ubyte * (len(mapped) // mmap.PAGESIZE))()
+        first = ctypes.c_char.from_buffer(mapped)
+        assert ctypes.CDLL(None).mincore(ctypes.byref(first), ctypes.c_size_t(len(mapped)), found) == 0
+        del first
+    return sum(flags & 1 for flags in found) / len(found)

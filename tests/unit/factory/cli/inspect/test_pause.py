@@ -8,6 +8,7 @@ from pathlib import Path
 from click.testing import CliRunner
 
 from coordinator.ledger.opening import ledger_url_of
+from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.requests import is_paused, read_requests
 from factory.cli.inspect.jobs import command
 from tests.builders.ledger import TimedLedger, room_plan
@@ -21,6 +22,7 @@ def test_a_run_without_a_coordinator_is_paused_and_resumed(tmp_path: Path) -> No
     assert paused.output == f"paused {tmp_path}\n"
     with timed_ledger.open() as connection:
         assert is_paused(connection)
+        assert read_progress(connection, timed_ledger.now).paused
     timed_ledger.engine.dispose()
     resumed = CliRunner().invoke(command, ["resume", str(tmp_path), "--json"], standalone_mode=False)
     assert json.loads(resumed.output)["changed"] == []

@@ -72,6 +72,12 @@ def test_status_shows_the_validator_sandbox(
     assert told.model_dump(mode="json")["sandbox"] == list(layers)
 
 
+def test_status_shows_that_an_unfinished_run_is_paused(capsys: pytest.CaptureFixture[str]) -> None:
+    for archived, is_shown in ((1, True), (3, False)):
+        stdout.print(draw_progress(progress(archived).model_copy(update={"paused": True})))
+        assert ("paused; continue with `factory jobs resume DIR`" in capsys.readouterr().out) is is_shown
+
+
 def test_the_progress_bar_of_a_run_does_not_count_returned_jobs() -> None:
     bar = RunBar(load_plan("demo"))
     bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
