@@ -25,10 +25,14 @@ class LiveFeed:
     Args:
         compute: function that returns the current fragment; called in a thread, never twice at a time.
         pause_s: least time between two calls, seconds.
+        forget: function that is called before the last call, so that the last fragment is current even if `compute`
+            shares its result with others.
     """
 
-    def __init__(self, compute: Callable[[], str], pause_s: float = 3.0) -> None:
-        self._compute, self._pause_s = compute, pause_s
+    def __init__(
+        self, compute: Callable[[], str], pause_s: float = 3.0, forget: Callable[[], None] = lambda: None
+    ) -> None:
+        self._compute, self._pause_s, self._forget = compute, pause_s, forget
         self._text, self._version = "", 0
         self._polled = asyncio.Event()
         self._has_ended = False
@@ -83,6 +87,8 @@ class LiveFeed:
     def _timed(self) -> tuple[str, float]:
         """Returns the fragment and the CPU time of its computation, seconds."""
         begin_s = time.thread_time()
+        if self._has_ended:
+            self._forget()
         return self._compute(), time.thread_time() - begin_s
 
 

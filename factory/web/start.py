@@ -76,19 +76,36 @@ def serve(
         return administer_dataset(site.state_dir, request, datetime.now(UTC), ledger, name=name, tls=files)
 
     workspace, statistics = Workspace(site, ledger), StatisticsStore(str(site))
-    context = WebContext(
-        workspace=workspace,
-        farm=Recent(lambda: read_view(workspace), _FARM_AGE_S),
-        marks=Marks(site),
-        frames=FrameStore(workspace),
-        administer=administer or ask,
-        evaluations=Evaluations(evaluations),
-        statistics=statistics,
-    )
+    context = make_context(workspace, administer or ask, statistics, evaluations)
     app = create_app(context, address, access, more_routes)
     with statistics, WebServer(app, address, files) as server:
         threading.Thread(target=_prepare, args=(context, renders_ahead), name="prepare", daemon=True).start()
         yield server.url + ("" if token else f"/?token={access.token}")
+
+
+def make_context(
+    workspace: Workspace,
+    administer: Callable[[AdminRequest], AdminReply],
+    statistics: StatisticsStore,
+    evaluations: Sequence[Path] = (),
+) -> WebContext:
+    """Returns the shared state of an application.
+
+    Args:
+        workspace: the dataset and its run.
+        administer: function that executes an admin request on the run.
+        statistics: figures of the dataset.
+        evaluations: directories of `factory eval -o`.
+    """
+    return WebContext(
+        workspace=workspace,
+        farm=Recent(lambda: read_view(workspace), _FARM_AGE_S),
+        marks=Marks(workspace.site),
+        frames=FrameStore(workspace),
+        administer=administer,
+        evaluations=Evaluations(evaluations),
+        statistics=statistics,
+    )
 
 
 def _prepare(context: WebContext, renders_ahead: bool) -> None:

@@ -21,6 +21,7 @@ from factory.web.figures.store import StatisticsStore
 from factory.web.first_rows import read_first_rows
 from factory.web.pages.episodes import LARGE_ROWS
 from factory.web.server import WebServer
+from factory.web.start import make_context
 from factory.web.workspace import Workspace
 from schemas.protocol.administration import AdminReply, AdminRequest
 from tests.builders.dataset import make_dataset
@@ -55,7 +56,8 @@ def page_with_slow_table(root: Path, may_read: threading.Event) -> Iterator[WebC
 
     workspace, address = Workspace(site_of(str(root))), parse_address("127.0.0.1:0", None)
     workspace._table = CurrentTable(read, lambda: 1, 1.0)
-    app = create_app(workspace, address, Access("token", reads_openly=True), refuse, StatisticsStore(str(root)))
+    context = make_context(workspace, refuse, StatisticsStore(str(root)))
+    app = create_app(context, address, Access("token", reads_openly=True))
     with WebServer(app, address) as server:
         yield WebClient(server.url.removeprefix("http://"), "token")
 

@@ -69,7 +69,7 @@ def routes(view: Recent[FarmView]) -> list[Route]:
     Args:
         view: result of `read_view`, shared by all tabs and requests.
     """
-    return [Route("/", show), Route("/live", LiveFeed(lambda: view.get().fragment))]
+    return [Route("/", show), Route("/live", LiveFeed(lambda: view.get().fragment, forget=view.forget))]
 
 
 def show(request: Request) -> Response:

@@ -24,7 +24,6 @@ def test_quotas_running_jobs_and_failures_are_read():
     assert [interval.failures for interval in found.history] == [{"timeout": 1}]
     assert [event.event for event in found.events] == ["claimed", "task_failed", "claimed"]
     assert found.events[0].at == timed_ledger.now
-    assert not found.paused
 
 
 def test_a_new_ledger_has_cells_and_nothing_else():
