@@ -34,6 +34,11 @@ def test_a_refused_run_leaves_nothing_so_that_the_command_can_be_repeated(
     refused = site(*command, "--partition", "gpu", expect=1)
     assert "no such partition" in refused.stderr
     assert not (tmp_path / "run").exists()
+    (tmp_path / "run").mkdir()
+    foreign = site(*command, "--partition", "cpu", expect=2)
+    assert "run exists: choose another --out" in foreign.stderr
+    assert "sbatch" not in foreign.stderr
+    (tmp_path / "run").rmdir()
     submitted = site.json(*command, "--partition", "cpu")
     assert set(submitted["jobs"].values()) == {7}
     assert all(Path(script).is_file() for script in submitted["scripts"])

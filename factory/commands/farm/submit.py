@@ -26,6 +26,7 @@ from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.protocol.identity import Role
 from schemas.scene.files import copy_package
+from schemas.storage.dataset_files import is_submitted_run
 from schemas.storage.disk import translated
 from schemas.storage.mounts import mount_of
 from schemas.support.child import python_module
@@ -82,7 +83,8 @@ def _submit(job: SlurmJob, mode: Mode) -> dict[str, int]:
 def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
     """Creates the folder of a run with its plan, its scenes and, for workers, its certificates."""
     if job.run.exists():
-        raise UsageError(f"{job.run} exists: choose another --out, or continue its run with {_again(job.run)}")
+        other = f", or continue its run with {_again(job.run)}" if is_submitted_run(job.run) else ""
+        raise UsageError(f"{job.run} exists: choose another --out{other}")
     catalog = open_catalog(plan, job.dataset, scene_cache(), print_building)
     try:
         with translated("write", job.run):

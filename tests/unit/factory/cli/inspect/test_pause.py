@@ -28,5 +28,6 @@ def test_a_run_without_a_coordinator_is_paused_and_resumed(tmp_path: Path) -> No
     assert json.loads(resumed.output)["changed"] == []
     with timed_ledger.open() as connection:
         assert not is_paused(connection)
+        assert not read_progress(connection, timed_ledger.now).paused
         assert [request.action for request in read_requests(connection)] == ["pause", "resume"]
     timed_ledger.engine.dispose()
