@@ -5,6 +5,7 @@ Each child is a real process with its own session, output files, arguments, envi
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import json
@@ -115,7 +116,9 @@ class ForkServer(Closing):
         """Kills the remaining processes."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write("\n")  # not only the end of the input: a fork of this process may keep stdin open
+            self._process.stdin.close()
         self._process.wait()
         self._thread.join()
         self._process.stdout.close()
@@ -133,7 +136,10 @@ class ForkServer(Closing):
 
 
 def main() -> None:
-    """Runs the fork server: reads orders from stdin, reports starts and exits on stdout, kills its children at exit."""
+    """Runs the fork server: reads orders from stdin, reports starts and exits on stdout, kills its children at exit.
+
+    Exits at an empty line or at the end of its input.
+    """
     for module in sys.argv[1:]:
         importlib.import_module(module)
     gc.freeze()
@@ -148,9 +154,9 @@ def main() -> None:
         ready, _, _ = select.select([0, hear], [], [])
         if 0 in ready:
             data = os.read(0, 1 << 16)
-            if not data:
-                break
             *lines, orders = (orders + data).split(b"\n")
+            if not data or b"" in lines:
+                break
             for line in lines:
                 pid = os.fork()
                 if pid == 0:

@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ import pytest
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.terms import RendererKind
-from tests.builders.process_state import children_of
+from tests.builders.process_state import children_of, is_gone
 from tests.builders.scene import Box, box_room, build_scene
 from workers.geometry.pose import Pose
 from workers.render import RenderedFrame, Renderer
@@ -52,13 +51,6 @@ def wait_until(is_so: Callable[[], bool]) -> bool:
             return True
         time.sleep(0.05)
     return False
-
-
-def is_gone(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
 
 
 @pytest.mark.parametrize("kind", KINDS)

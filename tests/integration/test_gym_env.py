@@ -20,6 +20,7 @@ from factory.eval.specs.from_dataset import specs_of_dataset
 from factory.gym.env import MiniVLANavEnv
 from schemas.errors import UsageError
 from schemas.terms import Split
+from tests.builders.fresh_process import in_fresh_process
 from tests.builders.rigs import small_rig
 
 SMALL = 64
@@ -206,13 +207,7 @@ def test_the_instruction_is_only_in_the_info_when_excluded_from_observations(dri
     assert info["instruction"].startswith("Go to the ")
 
 
-@pytest.mark.timeout(240)
-@pytest.mark.parametrize("context", [None, "forkserver", "spawn"])
-@pytest.mark.parametrize("instruction", ["text", "tokens", "none"])
-def test_make_vec_works_with_every_start_method(
-    drives: Dataset, specs: SpecSet, context: str | None, instruction: str
-) -> None:
-    """`None`, Gymnasium's default, forks a process that has already created an environment for its spaces."""
+def drive_two_episodes(drives: Dataset, specs: SpecSet, context: str | None, instruction: str) -> None:
     vector = gymnasium.make_vec(
         "factory.gym:MiniVLANav-v0",
         num_envs=2,
@@ -239,7 +234,23 @@ def test_make_vec_works_with_every_start_method(
         vector.close(terminate=True)
 
 
-def test_texts_in_shared_memory_that_is_not_copied_are_current(drives: Dataset, specs: SpecSet) -> None:
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("context", ["forkserver", "spawn"])
+@pytest.mark.parametrize("instruction", ["text", "tokens", "none"])
+def test_make_vec_works_with_processes_that_are_not_forked(
+    drives: Dataset, specs: SpecSet, context: str, instruction: str
+) -> None:
+    drive_two_episodes(drives, specs, context, instruction)
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("instruction", ["text", "tokens", "none"])
+def test_make_vec_works_with_forked_processes(drives: Dataset, specs: SpecSet, instruction: str) -> None:
+    """Gymnasium's default forks a process that has already created an environment for its spaces."""
+    in_fresh_process(drive_two_episodes, drives, specs, None, instruction)
+
+
+def compare_texts(drives: Dataset, specs: SpecSet) -> None:
     makers = [functools.partial(open_one, drives.root, specs)]
     vector = gymnasium.vector.AsyncVectorEnv(makers, copy=False)
     try:
@@ -248,6 +259,11 @@ def test_texts_in_shared_memory_that_is_not_copied_are_current(drives: Dataset, 
             assert list(observation["instruction"]) == list(info["instruction"])
     finally:
         vector.close(terminate=True)
+
+
+@pytest.mark.timeout(240)
+def test_texts_in_shared_memory_that_is_not_copied_are_current(drives: Dataset, specs: SpecSet) -> None:
+    in_fresh_process(compare_texts, drives, specs)
 
 
 @pytest.mark.timeout(120)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shutil
-import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -27,6 +25,7 @@ from schemas.storage.dataset_files import SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
 from tests.acceptance.factory_cli import FactoryCli
+from tests.builders.fresh_process import in_fresh_process
 
 pytestmark = pytest.mark.gl
 
@@ -96,13 +95,17 @@ def depth_of(episode: object, t: int) -> np.ndarray:
     return episode.depth(t)  # type: ignore[attr-defined,no-any-return]
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_processes_render_after_this_process_has_rendered(frames: Dataset, states: Dataset, method: str) -> None:
+def render_here_and_there(frames: Dataset, states: Dataset, method: str) -> None:
     states[0].rgb(0)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context(method)) as pool:
         found = pool.submit(depth_of, states[1], 4).result()
     assert np.array_equal(found, frames[1].depth(4))
     assert np.array_equal(states[1].depth(4), found)  # the rendering process of this process still serves
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_processes_render_after_their_parent_has_rendered(frames: Dataset, states: Dataset, method: str) -> None:
+    in_fresh_process(render_here_and_there, frames, states, method)
 
 
 def test_training_samples_of_both_recordings_are_equal(frames: Dataset, states: Dataset) -> None:
@@ -218,19 +221,9 @@ def test_a_frame_that_is_too_large_is_refused(states: Dataset) -> None:
         states[0].frame(0, antialias=4)
 
 
-@pytest.fixture
-def torch_may_watch_its_workers() -> Iterator[None]:
-    """A `DataLoader` with worker processes installs a handler of SIGCHLD and leaves it."""
-    handler = signal.getsignal(signal.SIGCHLD)
-    yield
-    signal.signal(signal.SIGCHLD, handler)
+def render_in_a_loader(states: Dataset, method: str) -> None:
+    import torch
 
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-@pytest.mark.usefixtures("torch_may_watch_its_workers")
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> None:
-    torch = pytest.importorskip("torch")
     source = FrameDataset(states, size=32, stride=40)
     order = SceneSampler(source, seed=3)
     alone = [source[index] for index in order]
@@ -240,3 +233,9 @@ def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> No
     found = [image for batch in loader for image in batch["rgb"].numpy()]
     assert len(found) == len(source)
     assert all(np.array_equal(image, sample["rgb"]) for image, sample in zip(found, alone, strict=True))
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_worker_processes_of_a_loader_render(states: Dataset, method: str) -> None:
+    pytest.importorskip("torch")
+    in_fresh_process(render_in_a_loader, states, method)

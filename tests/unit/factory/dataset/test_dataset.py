@@ -20,6 +20,7 @@ from factory.dataset.torch import FrameDataset, collate
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import make_dataset
+from tests.builders.fresh_process import in_fresh_process
 
 
 @pytest.fixture(scope="module")
@@ -139,12 +140,16 @@ def test_open_episode_can_be_pickled(shared: Path) -> None:
     assert np.array_equal(copy.rgb(3), before)
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_open_episode_can_be_used_in_another_process(shared: Path, method: str) -> None:
-    episode = Dataset(shared)[0]
+def read_in_other_processes(path: Path, method: str) -> None:
+    episode = Dataset(path)[0]
     expected = mean_of_frame(episode)
     with multiprocessing.get_context(method).Pool(2) as pool:
         assert pool.map(mean_of_frame, [episode] * 4) == [expected] * 4
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_open_episode_can_be_used_in_another_process(shared: Path, method: str) -> None:
+    in_fresh_process(read_in_other_processes, shared, method)
 
 
 def test_closed_episode_opens_again(shared: Path) -> None:

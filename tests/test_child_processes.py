@@ -1,0 +1,52 @@
+"""The processes that tests start: a hanging one fails its test and nothing else."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.builders.fork_server import ForkServer
+from tests.builders.fresh_process import in_fresh_process
+from tests.builders.process_state import is_gone
+
+
+def fail() -> None:
+    raise ValueError("the reason")
+
+
+def hang_in_a_fork(path: Path) -> None:
+    if os.fork() == 0:
+        path.write_text(str(os.getpid()))
+    signal.pause()
+
+
+def test_the_traceback_of_a_new_process_fails_the_test() -> None:
+    in_fresh_process(str, 1)
+    with pytest.raises(AssertionError, match="ValueError: the reason"):
+        in_fresh_process(fail)
+
+
+def test_a_hanging_process_shows_its_stacks_and_ends_with_its_forks(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(pytest.fail.Exception, match="no result after 5 s; the stacks are on stderr"):
+        in_fresh_process(hang_in_a_fork, tmp_path / "pid", timeout_s=5)
+    assert capfd.readouterr().err.count("in hang_in_a_fork") == 2
+    fork = int((tmp_path / "pid").read_text())
+    assert any(is_gone(fork) or time.sleep(0.05) for _ in range(200))
+
+
+def test_the_fork_server_ends_while_a_fork_of_its_owner_runs() -> None:
+    server = ForkServer(["json"], dict(os.environ))
+    fork = os.fork()
+    if fork == 0:
+        signal.pause()
+    try:
+        server.close()
+    finally:
+        os.kill(fork, signal.SIGKILL)
+        os.waitpid(fork, 0)
