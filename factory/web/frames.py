@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.dataset.episode import Episode
+from factory.dataset.rendering.shared_renderer import KEPT_SCENES
 from factory.visualize.panels import show_depth, show_ids
 from factory.web.workspace import Workspace
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
@@ -48,6 +49,17 @@ class FrameKey(NamedTuple):
     def media_type(self) -> str:
         """Type of the encoded image: JPEG for colour in playback, otherwise PNG."""
         return "image/jpeg" if self.is_small and self.kind == "rgb" else "image/png"
+
+
+def first_frames(scenes: Sequence[str], episodes: Sequence[str]) -> list[FrameKey]:
+    """Returns the first frame of one episode for each of the first scenes, as many as stay prepared.
+
+    Args:
+        scenes: scene of each episode.
+        episodes: ids of the episodes.
+    """
+    firsts = dict(zip(reversed(scenes), reversed(episodes), strict=True))
+    return [FrameKey(name, 0, "rgb", is_small=False) for name in reversed(firsts.values())][:KEPT_SCENES]
 
 
 class TooBusy(Exception):

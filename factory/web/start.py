@@ -24,7 +24,7 @@ from factory.web.app import create_app
 from factory.web.context import WebContext
 from factory.web.evaluations import Evaluations
 from factory.web.figures.store import StatisticsStore
-from factory.web.frames import FrameKey, FrameStore
+from factory.web.frames import FrameStore, first_frames
 from factory.web.pages.farm import read_view
 from factory.web.recent import Recent
 from factory.web.server import WebServer
@@ -34,6 +34,8 @@ from schemas.protocol.administration import AdminReply, AdminRequest
 
 _FARM_AGE_S = 3.0
 """Greatest age of the shown state of a run, seconds."""
+_READ_AHEAD = 1000
+"""Number of episodes whose scenes are prepared, as far as they stay prepared."""
 
 
 @contextmanager
@@ -61,8 +63,8 @@ def serve(
             changes the ledger if none runs.
         more_routes: further routes of the application.
         evaluations: directories of `factory eval -o`.
-        renders_ahead: renders the first frame of a dataset of states at once, so that the first viewer does not wait
-            for the start of a rendering process; not beside a run.
+        renders_ahead: renders a frame of each of the first scenes of a dataset of states at once, so that the first
+            viewer does not wait for a rendering process and its scenes; not beside a run.
 
     Raises:
         UsageError: the address is malformed, or other machines can reach it without a token and without TLS.
@@ -111,9 +113,10 @@ def make_context(
 def _prepare(context: WebContext, renders_ahead: bool) -> None:
     """Compiles templates and statements and reads the tables, so that the first requests do not; they raise errors."""
     with contextlib.suppress(FactoryError):
-        names = context.workspace.dataset().column("episode_id")
-        if renders_ahead and len(names) and not context.workspace.is_written():
-            context.frames.prepare([FrameKey(str(names[0]), 0, "rgb", is_small=False)])
+        dataset = context.workspace.dataset()
+        if renders_ahead and not context.workspace.is_written():
+            scenes, names = (dataset.column(name)[:_READ_AHEAD].to_pylist() for name in ("scene", "episode_id"))
+            context.frames.prepare(first_frames(scenes, names))
     compile_templates("web")
     with contextlib.suppress(FactoryError):
         context.workspace.farm()

@@ -10,10 +10,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from factory.dataset.rendering.shared_renderer import KEPT_SCENES
 from factory.web.context import WebContext, context_of, page
 from factory.web.first_rows import read_first_rows
-from factory.web.frames import FrameKey
+from factory.web.frames import first_frames
 from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_query
 
 PAGE_ROWS = 50
@@ -22,8 +21,6 @@ LARGE_ROWS = 50_000
 """Least number of rows of a table whose first rows are shown before all are read; smaller ones are read in 0.2 s."""
 _PATIENCE_S = 0.1
 """Longest wait for the first reading of the table, seconds; then the page has its first rows only."""
-_PREPARED = KEPT_SCENES
-"""Number of scenes of a page that are prepared for rendering."""
 _SHOWN = (
     ("episode_id", "episode"),
     ("scene", "scene"),
@@ -82,10 +79,9 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
 def prepare_scenes(context: WebContext, rows: Sequence[Mapping[str, Any]]) -> None:
     """Renders the first frame of one episode for each of the first scenes, in the background. Beside a run, only the
     first page does this, for one scene, because each scene takes about a second of CPU time from the run."""
-    firsts = {row["scene"]: row["episode_id"] for row in reversed(rows)}
-    shown = [FrameKey(name, 0, "rgb", is_small=False) for name in reversed(firsts.values())]
+    shown = first_frames([row["scene"] for row in rows], [row["episode_id"] for row in rows])
     if not context.workspace.is_written():
-        context.frames.prepare(shown[:_PREPARED])
+        context.frames.prepare(shown)
     elif not context.frames.has_prepared:
         context.frames.prepare(shown[:1])
 
