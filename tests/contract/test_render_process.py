@@ -19,6 +19,7 @@ import pytest
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.terms import RendererKind
+from tests.builders.fresh_process import in_fresh_process
 from tests.builders.process_state import children_of, is_gone
 from tests.builders.scene import Box, box_room, build_scene
 from workers.geometry.pose import Pose
@@ -212,8 +213,7 @@ def test_a_renderer_is_refused_in_a_fork_and_works_in_the_parent(apart: bool) ->
         assert digest(renderer.render(POSES[1])) == before
 
 
-@pytest.mark.gl
-def test_after_rendering_in_the_parent_only_a_render_process_works_in_a_fork() -> None:
+def render_here_and_in_forks() -> None:
     with open_renderer("gl") as renderer:
         renderer.load(box_room(), CAMERA)
         before = digest(renderer.render(POSES[1]))
@@ -225,3 +225,8 @@ def test_after_rendering_in_the_parent_only_a_render_process_works_in_a_fork() -
 
     assert "multiprocessing context 'spawn'" in in_a_fork(lambda: draw(apart=False))
     assert in_a_fork(lambda: draw(apart=True)) == before
+
+
+@pytest.mark.gl
+def test_after_rendering_in_the_parent_only_a_render_process_works_in_a_fork() -> None:
+    in_fresh_process(render_here_and_in_forks)
