@@ -150,7 +150,8 @@ def _require_each_once(shards: Sequence[tuple[Place, ShardState]], count: int, *
     if running:
         raise UsageError(
             f"{len(running)} of {count} shards are not finished: {_some(running)}; continue them with `factory run "
-            "--out SHARD`, or join what they have with --requeue-missing"
+            "--out SHARD`, on Slurm by submitting the scripts in RUN/slurm again, or join what they have with "
+            "--requeue-missing"
         )
 
 

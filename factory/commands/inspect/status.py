@@ -118,9 +118,8 @@ def draw_progress(progress: Progress) -> Group:
     """Returns the progress of a run as text and tables."""
     done = progress.jobs.get("archived", 0)
     rate = "-" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
-    head = (
-        f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {format_duration(progress.eta_s)}"
-    )
+    left = "finished" if progress.finished else f"ETA {format_duration(progress.eta_s)}"
+    head = f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, {left}"
     tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
     is_waiting = progress.paused and not progress.finished
     paused = [Text("paused; continue with `factory jobs resume DIR`", style="yellow")] if is_waiting else []

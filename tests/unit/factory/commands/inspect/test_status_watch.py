@@ -78,6 +78,12 @@ def test_status_shows_that_an_unfinished_run_is_paused(capsys: pytest.CaptureFix
         assert ("paused; continue with `factory jobs resume DIR`" in capsys.readouterr().out) is is_shown
 
 
+def test_status_shows_the_remaining_time_until_the_run_is_finished(capsys: pytest.CaptureFixture[str]) -> None:
+    for archived, left in ((1, "1 of 3 episodes archived, -, ETA 40 s"), (3, "3 of 3 episodes archived, -, finished")):
+        stdout.print(draw_progress(progress(archived).model_copy(update={"eta_s": 40.0})))
+        assert left in capsys.readouterr().out
+
+
 def test_the_progress_bar_of_a_run_does_not_count_returned_jobs() -> None:
     bar = RunBar(load_plan("demo"))
     bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
