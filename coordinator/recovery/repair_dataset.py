@@ -204,7 +204,7 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     elif ledger is not None:
         owned = read_content_digests(ledger)
         if owned != digests:
-            found[METADATA_FILE] = f"{len(digests)} rows that are not the ledger's {len(owned)}"
+            found[METADATA_FILE] = f"its {len(digests)} rows differ from the {len(owned)} episodes of the ledger"
     reasons = read_column(root / ATTEMPTS_FILE, "reason")
     if isinstance(reasons, str):
         found[ATTEMPTS_FILE] = reasons

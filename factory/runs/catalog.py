@@ -57,7 +57,7 @@ def open_catalog(
         if nearest.plan is not None:
             mistakes += [f"nearest possible: {change}" for change in nearest.changes]
             mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
-        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
+        raise InvalidPlan(f"plan {plan.name!r} cannot be fulfilled with its scenes", mistakes)
     faults = find_missing_instructions(plan, entries)
     if faults:
         raise InvalidPlan(f"plan {plan.name!r} has a language block that its scenes do not permit", faults)

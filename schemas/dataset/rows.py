@@ -70,7 +70,7 @@ class EpisodeSummary(Model):
     scene: Name
     """Name of the scene."""
     instruction: Line
-    """Instruction in English."""
+    """Instruction, in the language of the plan; usually English."""
     target_category: Name
     """Category of the target."""
     target_id: Name
@@ -95,7 +95,7 @@ class EpisodeSummary(Model):
     colour: Name
     """Colour word of the target, or `unknown`."""
     phrase_is_unique: bool
-    """Whether category and colour match exactly one target of the scene."""
+    """Whether the instruction fits exactly one object of the scene."""
     target_prim_path: PrimPath
     """Path of the target's USD prim."""
     goal_x_m: Finite

@@ -1,6 +1,6 @@
 """Image measurements of an expert: position and depth of the target in the frame, and detection of a near obstacle.
 
-Pure functions of the id and depth images. They use no ground truth of the simulation.
+Pure functions of the id and depth images. They use nothing else of the state of the simulation.
 """
 
 from __future__ import annotations

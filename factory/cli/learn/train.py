@@ -46,7 +46,7 @@ def command() -> None:
     "MINUTES",
     "--minutes",
     None,
-    "Time limit, minutes: no epoch is started that would end later. Default: no limit.",
+    "Time limit, minutes: an epoch that would end later is not started. Default: no limit.",
     least=0.01,
 )
 @count_option("--seed", 0, "Random seed.", least=0, most=2**32 - 1)
@@ -61,7 +61,7 @@ def command() -> None:
 @click.option(
     "--positions",
     is_flag=True,
-    help="Give the features that locate the target their position in the image, for instructions with left and right.",
+    help="Add the image position to the features that locate the target, for instructions with left and right.",
 )
 @click.option(
     "--size",
