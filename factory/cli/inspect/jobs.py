@@ -14,7 +14,7 @@ from factory.cli.common.options import count_option, json_option, ledger_option,
 
 @click.group("jobs", cls=CommandGroup)
 def command() -> None:
-    """List, retry and cancel jobs; release hosts; pause a run."""
+    """List, retry and cancel jobs; release hosts; pause a run; drain workers."""
 
 
 @command.command("list")
@@ -128,3 +128,18 @@ def resume(**options: Any) -> None:
     from factory.commands.inspect.jobs import resume
 
     resume(**options)
+
+
+@command.command("drain")
+@site_argument
+@ledger_option
+@tls_option
+@json_option
+def drain(**options: Any) -> None:
+    """Let every worker finish its current jobs and exit.
+
+    So do workers that are started later, until the coordinator is restarted.
+    """
+    from factory.commands.inspect.jobs import drain
+
+    drain(**options)

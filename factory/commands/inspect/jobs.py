@@ -1,4 +1,4 @@
-"""`factory jobs`: lists, shows, retries and cancels jobs; releases barred hosts; pauses and resumes the run."""
+"""`factory jobs`: lists, shows, retries and cancels jobs; releases hosts; pauses and resumes a run; drains workers."""
 
 from __future__ import annotations
 
@@ -120,17 +120,22 @@ def release(
 
 def pause(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
     """Executes `factory jobs pause`."""
-    _switch(site, AdminAction.PAUSE, ledger, tls, as_json)
+    _switch(site, AdminAction.PAUSE, f"paused {site}", ledger, tls, as_json)
 
 
 def resume(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
     """Executes `factory jobs resume`."""
-    _switch(site, AdminAction.RESUME, ledger, tls, as_json)
+    _switch(site, AdminAction.RESUME, f"resumed {site}", ledger, tls, as_json)
 
 
-def _switch(site: Site, action: AdminAction, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+def drain(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+    """Executes `factory jobs drain`."""
+    _switch(site, AdminAction.DRAIN, f"the workers of {site} finish their current jobs and exit", ledger, tls, as_json)
+
+
+def _switch(site: Site, action: AdminAction, effect: str, ledger: str | None, tls: Path | None, as_json: bool) -> None:
     reply = _ask(site, AdminRequest(action=action), ledger, tls)
-    print_result(reply, as_json, lambda _: print_text(f"{action}d {site}"))
+    print_result(reply, as_json, lambda _: print_text(effect))
 
 
 def _administer(

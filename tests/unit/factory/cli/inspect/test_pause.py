@@ -1,4 +1,4 @@
-"""`factory jobs pause` and `resume` change the run as the web page does."""
+"""`factory jobs pause`, `resume` and `drain` change the run as the web page does."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.requests import is_paused, read_requests
 from factory.cli.inspect.jobs import command
+from schemas.errors import UsageError
 from tests.builders.ledger import TimedLedger, room_plan
 
 
@@ -31,3 +32,10 @@ def test_a_run_without_a_coordinator_is_paused_and_resumed(tmp_path: Path) -> No
         assert not read_progress(connection, timed_ledger.now).paused
         assert [request.action for request in read_requests(connection)] == ["pause", "resume"]
     timed_ledger.engine.dispose()
+
+
+def test_workers_are_drained_by_a_running_coordinator_only(tmp_path: Path) -> None:
+    TimedLedger(room_plan(2), ledger_url_of(tmp_path)).engine.dispose()
+    refused = CliRunner().invoke(command, ["drain", str(tmp_path)], standalone_mode=False)
+    assert isinstance(refused.exception, UsageError)
+    assert "there is no worker to drain" in str(refused.exception)
