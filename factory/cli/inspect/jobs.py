@@ -14,7 +14,7 @@ from factory.cli.common.options import count_option, json_option, ledger_option,
 
 @click.group("jobs", cls=CommandGroup)
 def command() -> None:
-    """List, retry and cancel jobs; release hosts; pause a run; drain workers."""
+    """List, retry and cancel jobs; release hosts; pause a run."""
 
 
 @command.command("list")
