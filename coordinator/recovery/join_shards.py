@@ -116,7 +116,8 @@ def require_joinable(shards: Sequence[tuple[Place, ShardState]], plan: Plan, *, 
             )
         if other.shard.count != state.shard.count:
             raise UsageError(
-                f"{place} is shard {other.shard}, and {first} is shard {state.shard}: all shards of a run have the same N in --shard K/N"
+                f"{place} is shard {other.shard}, and {first} is shard {state.shard}: all shards of a run have the "
+                "same N in --shard K/N"
             )
         for name in sorted(state.scenes.keys() | other.scenes.keys()):
             if state.scenes.get(name) != other.scenes.get(name):
