@@ -92,7 +92,7 @@ def _from_here(endpoint: str) -> str:
 
 def _administer_offline(url: str, request: AdminRequest, now: datetime) -> AdminReply:
     if request.action is AdminAction.DRAIN:
-        raise UsageError("no coordinator is running on the directory, so there is no worker to drain")
+        raise UsageError("no coordinator runs on the directory; only a running coordinator can drain workers")
     require_sound(url)
     engine = open_writer(url)
     try:

@@ -8,12 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from coordinator.admin import administer
 from coordinator.options import CoordinatorOptions
 from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from factory.cli.inspect.jobs import command as jobs
 from schemas.errors import UsageError, WorldError
 from schemas.protocol.address_file import mark_finished, read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
@@ -212,6 +214,14 @@ def test_drain_ends_the_workers_and_leases_no_jobs(opened, worker):
     assert worker.claim().job is None
 
 
+def test_the_drain_command_ends_the_workers(worker, tmp_path):
+    done = CliRunner().invoke(jobs, ["drain", str(tmp_path / "out")], standalone_mode=False)
+    assert done.exception is None
+    said = f"the workers of {tmp_path / 'out'} finish their current jobs and exit"
+    assert " ".join(done.output.split()).endswith(said)  # after the log of the coordinator
+    assert worker.beat().drain
+
+
 def test_scenes_are_served_in_chunks(opened, worker, tmp_path):
     (entry,) = room_catalog(tmp_path).values()
     data = entry.path.read_bytes()
@@ -276,7 +286,7 @@ def test_operator_requests_run_in_the_coordinator_or_under_the_lock_without_one(
     mark_finished(out, "run-1")
     assert administer(out, AdminRequest(action=AdminAction.RETRY, indices=(1,)), now).changed == (1,)
     assert read_address(out) is None, "workers wait for a coordinator again"
-    with pytest.raises(UsageError, match="no worker to drain"):
+    with pytest.raises(UsageError, match="only a running coordinator can drain workers"):
         administer(out, AdminRequest(action=AdminAction.DRAIN), now)
 
 

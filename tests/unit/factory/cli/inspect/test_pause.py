@@ -38,4 +38,4 @@ def test_workers_are_drained_by_a_running_coordinator_only(tmp_path: Path) -> No
     TimedLedger(room_plan(2), ledger_url_of(tmp_path)).engine.dispose()
     refused = CliRunner().invoke(command, ["drain", str(tmp_path)], standalone_mode=False)
     assert isinstance(refused.exception, UsageError)
-    assert "there is no worker to drain" in str(refused.exception)
+    assert "only a running coordinator can drain workers" in str(refused.exception)
