@@ -125,6 +125,10 @@ def test_a_dataset_that_grows_is_shown_as_it_is_written(tmp_path):
         (run.root / "metadata.parquet").write_bytes((run.root / "metadata.parquet").read_bytes()[:200])
         until(lambda: client.ask("/episodes").status == 503)
         assert "metadata.parquet" in client.ask("/episodes").text
+        scenes = client.ask("/scenes").text
+        assert "The episodes cannot be counted: " in scenes
+        assert "metadata.parquet" in scenes
+        assert "0 episodes" not in scenes
         assert "2 of 4 episodes archived" in client.ask("/").text
 
 

@@ -43,7 +43,7 @@ def show_all(request: Request) -> Response:
     names = [name for name in found.packages if family in ("", name, family_of(name))]
     unbuilt = [name for name in found.unbuilt if family in ("", name, family_of(name))]
     last = max(0, (len(names) - 1) // _PAGE_SCENES)
-    counts = _episode_counts(context)
+    counts, fault = _episode_counts(context)
     shown = names[number * _PAGE_SCENES : (number + 1) * _PAGE_SCENES]
     scenes = [(name, counts.get(name, 0)) for name in shown]
     return page(
@@ -51,6 +51,7 @@ def show_all(request: Request) -> Response:
         "scenes",
         "Scenes",
         scenes=scenes,
+        fault=fault,
         total=len(names),
         unbuilt=unbuilt,
         number=number,
@@ -63,7 +64,7 @@ def show(request: Request) -> Response:
     """Answers with the page of a scene."""
     context, name = context_of(request), request.path_params["name"]
     floor = context.floors.of(package_named(context, name))
-    by_target, views = _of_scene(context, name)
+    by_target, views, fault = _of_scene(context, name)
     targets = [(target, by_target.get(target.target_id, 0)) for target in floor.info.targets]
     failures = _placed(context, name, floor)
     return page(
@@ -73,6 +74,7 @@ def show(request: Request) -> Response:
         name=name,
         floor=floor,
         targets=targets,
+        fault=fault,
         views=views,
         dot=_dot(floor),
         failures=failures,
@@ -139,11 +141,12 @@ def package_named(context: WebContext, name: str) -> ScenePackage:
     return ScenePackage(context.workspace.root, name, digest)
 
 
-def _episode_counts(context: WebContext) -> dict[str, int]:
+def _episode_counts(context: WebContext) -> tuple[dict[str, int], str]:
+    """Returns the number of episodes by scene, and the reason why they cannot be counted, or an empty text."""
     try:
-        return _counts(context.workspace.dataset().column("scene"))
-    except FactoryError:
-        return {}
+        return _counts(context.workspace.dataset().column("scene")), ""
+    except FactoryError as error:
+        return {}, str(error)
 
 
 def _counts(column: pa.Array) -> dict[str, int]:
@@ -153,16 +156,17 @@ def _counts(column: pa.Array) -> dict[str, int]:
     return dict(zip(names, found.field("counts").to_pylist(), strict=True))
 
 
-def _of_scene(context: WebContext, name: str) -> tuple[dict[str, int], list[str]]:
-    """Returns the number of episodes by target, and some episodes whose first frames show the scene."""
+def _of_scene(context: WebContext, name: str) -> tuple[dict[str, int], list[str], str]:
+    """Returns the number of episodes by target, some episodes whose first frames show the scene, and the reason why
+    the episodes cannot be read, or an empty text."""
     try:
         table = context.workspace.table()
-    except FactoryError:
-        return {}, []
+    except FactoryError as error:
+        return {}, [], str(error)
     found, dataset = table.select(TableQuery({"scene": name})), table.dataset
     targets = _counts(dataset.column("target_id").take(pa.array(found)))
     step = max(1, len(found) // _VIEWS)
-    return targets, dataset.column("episode_id").take(pa.array(found[::step][:_VIEWS])).to_pylist()
+    return targets, dataset.column("episode_id").take(pa.array(found[::step][:_VIEWS])).to_pylist(), ""
 
 
 def _dot(floor: Floor) -> float:
