@@ -5,6 +5,7 @@ Reports the stages of each request to a test, so that the test can end the sende
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import socket
 import threading
@@ -130,7 +131,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _hang_up(self) -> None:
         self.close_connection = True
-        self.connection.shutdown(socket.SHUT_RDWR)
+        with contextlib.suppress(OSError):  # the client may have closed the connection before
+            self.connection.shutdown(socket.SHUT_RDWR)
 
     do_GET = do_PUT = do_HEAD = do_DELETE = do_POST = _relay  # noqa: N815 - names required by http.server
 

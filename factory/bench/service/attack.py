@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import socket
 import time
 from collections.abc import Iterator
@@ -44,9 +45,24 @@ def flood(host: str, count: int, seconds: float = 0.0) -> None:
             sent += part
             for number in range(part):
                 tab.sendall(attacks[number % len(attacks)])
-            tab.shutdown(socket.SHUT_WR)
-            while tab.recv(1 << 16):
-                pass
+            read_to_the_end(tab)
+
+
+def read_to_the_end(tab: socket.socket) -> None:
+    """Closes the sending side and reads what the server still sends.
+
+    Raises:
+        ConnectionError: the server reset the connection.
+        TimeoutError: the server neither sends nor closes.
+    """
+    try:
+        tab.shutdown(socket.SHUT_WR)
+    except OSError as error:
+        if error.errno != errno.ENOTCONN:  # a reset that arrived before; Python has no subclass of OSError for it
+            raise
+        raise ConnectionResetError(*error.args) from error
+    while tab.recv(1 << 16):
+        pass
 
 
 @contextmanager
@@ -54,7 +70,8 @@ def slow_clients(host: str, count: int) -> Iterator[None]:
     """Keeps connections open that send half a request or never read the reply."""
     with ExitStack() as stack:
         for number in range(count):
-            stack.enter_context(_connect(host)).sendall(_SLOW[number % len(_SLOW)])
+            with contextlib.suppress(ConnectionError):  # the server may refuse them
+                stack.enter_context(_connect(host)).sendall(_SLOW[number % len(_SLOW)])
         yield
 
 
