@@ -84,8 +84,8 @@ def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
 
 
 def test_failure_whose_acknowledgement_was_lost_is_repeated(tmp_path):
-    with FakeCoordinator(jobs_with_instructions("miss"), lease_ttl_s=60) as hub:  # no heartbeat in between
-        hub.dropped_replies[Verb.FAIL] = 2
+    with FakeCoordinator(jobs_with_instructions("miss"), lease_ttl_s=60) as hub:
+        hub.dropped_replies |= {Verb.FAIL: 2, Verb.BEAT: 100}  # no heartbeat says that the lease has ended
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             assert worker.join() == 0
         assert len({fail.lease for fail in hub.of(Fail)}) == 1
