@@ -59,9 +59,14 @@ DOORS = {
 
 
 @functools.cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@functools.cache
 def imports_of(path: Path) -> set[str]:
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -126,7 +131,7 @@ def test_every_module_has_a_docstring():
     silent = [
         str(path.relative_to(ROOT))
         for path in sources()
-        if path.read_text().strip() and ast.get_docstring(ast.parse(path.read_text())) is None
+        if parsed(path).body and ast.get_docstring(parsed(path)) is None
     ]
     assert not silent
 

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import ast
-import functools
 from collections import Counter, defaultdict
 from pathlib import Path
 
-from tests.test_layering import ROOT, sources
+from tests.test_layering import ROOT, parsed, sources
 
 MOST_MODULES = 17
 MOST_FILE_LINES = 350
 MOST_FUNCTION_LINES = 60
-
-
-@functools.cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text())
 
 
 def public_classes(path: Path) -> list[str]:

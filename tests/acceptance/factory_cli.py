@@ -105,6 +105,8 @@ class FactoryCli:
 
     def _fork(self, folder: Path, words: tuple[object, ...]) -> Started:
         out, err = folder / "out", folder / "err"
+        for file in (out, err):
+            file.touch(0o600)  # a test may read them before the process opens them
         child = self._server.start("factory.__main__", [*map(str, words)], self._environment, out, err)
         return Started(child, out, err)
 

@@ -56,10 +56,10 @@ def test_a_terminated_benchmark_ends_its_run(factory: FactoryCli):
 
 def test_a_run_is_watched_until_its_server_closes_and_names_the_command_for_the_dataset(factory: FactoryCli, tmp_path):
     words = ("demo", "--scene", "office", "--episodes", 2, "--workers", 1, "--record", "states", "--gate", "skip")
-    run = factory.start("run", *words, "--out", tmp_path / "out", "--http", "127.0.0.1:0")
     with chromium() as browser:
         page: Any = browser.new_page()
         page.set_default_timeout(600_000)
+        run = factory.start("run", *words, "--out", tmp_path / "out", "--http", "127.0.0.1:0")
         page.goto(printed_url(run))
         assert re.fullmatch(r"[01] of 2 episodes archived", page.locator("#live .meter label").inner_text())
         assert page.request.get(f"{page.url}metrics").ok
