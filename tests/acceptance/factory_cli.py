@@ -53,16 +53,18 @@ IMPORTED = (
     *(found.name for found in pkgutil.walk_packages(commands.__path__, f"{commands.__name__}.")),
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
     *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas
+    *("coordinator.validation.validator_child", "factory.eval.process.child", "factory.runs.build_process"),
+    *("factory.web.figures.process", "workers.render.process_child", "workers.sim.simulate", "moderngl"),
     "tests.builders.room_coordinator",
 )
-"""Modules that the commands import, and the coordinator of kill tests."""
+"""Modules that the commands and their processes import, and the coordinator of kill tests."""
 _HANGS_S = 800.0
 """Time after which a command counts as hung, seconds; it is killed."""
 
 
 def start_server() -> ForkServer:
     """Starts the process that the commands are forked from; the caller closes it."""
-    return ForkServer(("factory.__main__", *IMPORTED), os.environ)
+    return ForkServer(("factory.__main__", *IMPORTED), os.environ, forks_children=True)
 
 
 class Started:

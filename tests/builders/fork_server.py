@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from schemas.support.closing import Closing
+from tests.builders.fork_helper import end_after, fork_children
 
 _STARTS_WITHIN_S = 800.0
 """Time after which the server counts as hung, seconds: on a busy machine its imports alone take minutes."""
@@ -67,6 +68,7 @@ class _Order:
     folder: str
     out: str
     err: str
+    forks_children: bool
 
 
 class ForkServer(Closing):
@@ -75,9 +77,11 @@ class ForkServer(Closing):
     Args:
         modules: modules to import in advance. Those that are run have a `main` that reads `sys.argv`.
         environment: environment variables of the server.
+        forks_children: the processes fork the Python processes that they start, see `tests.builders.fork_helper`.
     """
 
-    def __init__(self, modules: Sequence[str], environment: Mapping[str, str]) -> None:
+    def __init__(self, modules: Sequence[str], environment: Mapping[str, str], *, forks_children: bool = False) -> None:
+        self._forks_children = forks_children
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.builders.fork_server", *modules],
             stdin=subprocess.PIPE,
@@ -105,7 +109,9 @@ class ForkServer(Closing):
         """
         assert self._process.stdin is not None
         self._asked = (module, *words)
-        order = _Order(module, [*words], {**environment}, str(Path.cwd()), str(out), str(err or out))
+        order = _Order(
+            module, [*words], {**environment}, str(Path.cwd()), str(out), str(err or out), self._forks_children
+        )
         self._process.stdin.write(json.dumps(asdict(order)) + "\n")
         self._process.stdin.flush()
         child = self._started.get(timeout=_STARTS_WITHIN_S)
@@ -202,7 +208,9 @@ def _run_child(order: _Order, *fds: int) -> NoReturn:
     sys.argv = [order.module, *order.words]
     sys.orig_argv = [sys.executable, "-m", *sys.argv]
     program = sys.modules["__main__"] = importlib.import_module(order.module)
-    sys.exit(program.main())
+    if order.forks_children:
+        fork_children()
+    end_after(lambda: sys.exit(program.main()))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,8 @@ from typing import Any
 
 import structlog
 
+from tests.builders.fork_helper import NAME as FORK_HELPER
+
 LIMITS = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_AS, resource.RLIMIT_CORE)
 RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
 """Limit that a coordinator raises to the hard limit; it is restored like the others, and its change is not an error."""
@@ -111,14 +113,15 @@ def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
 
 
 def children_of(pid: int) -> set[int]:
-    """Returns the child processes of a process."""
+    """Returns the child processes of a process without its fork helper."""
     found = set()
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
-            fields = status.read_text().rpartition(")")[2].split()
+            name, _, rest = status.read_text().rpartition(")")
         except OSError:
             continue
-        if int(fields[1]) == pid and fields[0] != "Z":
+        fields = rest.split()
+        if int(fields[1]) == pid and fields[0] != "Z" and not name.endswith(f"({FORK_HELPER}"):
             found.add(int(status.parent.name))
     return found
 

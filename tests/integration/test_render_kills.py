@@ -19,6 +19,7 @@ from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import FactoryCli, Started
+from tests.builders.process_state import children_of
 from tests.builders.rigs import write_rig
 
 pytestmark = pytest.mark.gl
@@ -40,13 +41,9 @@ def query(out: Path, text: str) -> list[tuple[object, ...]]:
         return []
 
 
-def children_of(process: Started) -> list[int]:
-    tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]
-
-
 def is_worker(pid: int) -> bool:
-    return b"worker" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    """Whether a process forked for a command is a worker."""
+    return Path(f"/proc/{pid}/comm").read_text() == "worker\n"
 
 
 def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
@@ -58,7 +55,7 @@ def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
     undisturbed = Dataset(tmp_path / "undisturbed")
     killed = factory.start(*render, out, "--workers", 1)
     until(lambda: query(out, "select 1 from jobs where state = 'leased'"), killed)
-    (worker,) = filter(is_worker, children_of(killed))
+    (worker,) = filter(is_worker, children_of(killed.pid))
     os.kill(worker, signal.SIGKILL)
     until(lambda: list((out / "episodes").glob("*.zip")), killed)
     killed.kill()

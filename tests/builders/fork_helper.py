@@ -1,0 +1,259 @@
+"""Forks the Python processes that a tested process starts, instead of starting interpreters that import for a second.
+
+A helper, a copy of the process from before it starts threads, forks them. They are real children of the process, with
+the arguments, environment, directory, descriptors and session that it asked for, and run their module as `python -m`
+does. Other programs, and interpreters with other variables, are started as always.
+"""
+
+from __future__ import annotations
+
+import _posixsubprocess
+import atexit
+import contextlib
+import ctypes
+import fcntl
+import json
+import os
+import re
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from multiprocessing.spawn import spawn_main
+from pathlib import Path
+from typing import Any, NoReturn
+
+from coordinator.validation.messages import ValidatorLimits
+from schemas.support.child import SAFE_PATH
+
+NAME = "fork-helper"
+"""Name of the helper's process, at most 15 characters."""
+_VALIDATOR = "coordinator.validation.validator_child"
+FORKED = frozenset(
+    {
+        "factory",
+        "factory.eval.process.child",
+        "factory.runs.build_process",
+        "factory.web.figures.process",
+        "workers.render.process_child",
+        "workers.sim.simulate",
+    }
+)
+"""Modules that are forked, besides that of validators."""
+_STARTS_NO_PYTHON = frozenset({_VALIDATOR, "workers.render.process_child"})
+_SPAWNED = re.compile(r"from multiprocessing\.spawn import spawn_main; spawn_main\((\w+)=(\d+), (\w+)=(\d+)\)")
+_AT_START = ("LD_", "PYTHON")
+"""Beginnings of the names of variables that loader and interpreter read at their start."""
+_VALIDATION_BYTES = 512 << 20
+"""Address space that a validator needs in addition to that of the helper, bytes."""
+_LARGEST, _MOST_FDS = 1 << 17, 64
+_PR_SET_CHILD_SUBREAPER = 36
+_FORK_EXEC = _posixsubprocess.fork_exec
+"""The function that starts a process in `subprocess` and `multiprocessing`."""
+_prctl = ctypes.CDLL(None, use_errno=True).prctl
+
+
+@dataclass(frozen=True)
+class _Order:
+    words: list[str]
+    """Arguments of the interpreter."""
+    environment: dict[str, str]
+    folder: str
+    targets: list[int]
+    """Number of each descriptor of the message in the new process."""
+    new_session: bool
+
+
+class _Helper:
+    """The owner's side of the helper."""
+
+    def __init__(self, orders: socket.socket) -> None:
+        self._orders, self._owner, self._lock = orders, os.getpid(), threading.Lock()
+        self._variables = _read_at_start(os.environ)
+        self._bytes = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+
+    def can_fork(self, words: Sequence[str], environment: Mapping[str, str]) -> bool:
+        """Whether a copy of the helper can run this command as a new interpreter would; it serves only its owner."""
+        if os.getpid() != self._owner or words[0] != sys.executable:
+            return False
+        if _read_at_start(environment) != self._variables:
+            return False
+        if _SPAWNED.fullmatch(words[-2]):
+            return True
+        if words[1:4] != ["-P", "-m", _VALIDATOR]:
+            return words[1:3] == ["-P", "-m"] and words[3] in FORKED
+        memory_bytes = ValidatorLimits.model_validate_json(words[4]).memory_bytes
+        return memory_bytes - self._bytes >= _VALIDATION_BYTES
+
+    def fork(self, order: _Order, fds: Sequence[int]) -> int:
+        """Returns the id of a new child of this process."""
+        with self._lock:
+            _prctl(_PR_SET_CHILD_SUBREAPER, 1)  # for the moment in which the new process loses its first parent
+            try:
+                socket.send_fds(self._orders, [json.dumps(asdict(order)).encode()], fds)
+                reply = self._orders.recv(32)
+            finally:
+                _prctl(_PR_SET_CHILD_SUBREAPER, 0)
+        assert reply, f"the helper has ended; it was asked for {order.words}"
+        return int(reply)
+
+
+def fork_children() -> None:
+    """Starts the helper of this process, which forks its children from now on. Call it before threads start."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    if os.fork() == 0:
+        ours.close()
+        _serve(theirs)
+    theirs.close()
+    assert ours.recv(8), "the helper does not start"
+    start = _forked(_Helper(ours))
+    subprocess._fork_exec = _posixsubprocess.fork_exec = start  # type: ignore[attr-defined]
+
+
+def end_after(program: Callable[[], object]) -> NoReturn:
+    """Calls the program and ends the process as an interpreter does, but leaves alone the memory of its parent.
+
+    Clearing all modules would copy that memory, which takes a quarter of a second.
+    """
+    status = 0
+    try:
+        program()
+    except SystemExit as error:
+        if isinstance(error.code, str):
+            sys.stderr.write(f"{error.code}\n")
+        status = error.code if isinstance(error.code, int) else int(error.code is not None)
+    except KeyboardInterrupt:
+        traceback.print_exc()
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
+    except BaseException:  # noqa: BLE001 - as an interpreter does
+        traceback.print_exc()
+        status = 1
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        status = 120
+    os._exit(status & 0xFF)
+
+
+def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
+    """Returns the variables that change a process from its start; a directory already on the path changes nothing."""
+    found = {name: value for name, value in environment.items() if name.startswith(_AT_START) and name != SAFE_PATH}
+    added = [entry for entry in found.pop("PYTHONPATH", "").split(os.pathsep) if entry not in {"", *sys.path}]
+    return found | ({"PYTHONPATH": os.pathsep.join(added)} if added else {})
+
+
+def _forked(helper: _Helper) -> Callable[..., int]:
+    """Returns the function that starts processes of `subprocess` and `multiprocessing`, with forks where possible."""
+
+    def start(args: Sequence[Any], programs: object, *others: Any) -> int:
+        (
+            (close_fds, kept, folder, variables, stdin, _, _, stdout, _, stderr, _, errors),
+            (_, new_session, group, *identity, preexec_fn, _),
+        ) = others[:12], others[12:]
+        words = [*map(os.fsdecode, args)]
+        environment = dict(os.environ) if variables is None else _parse(variables)
+        is_plain = close_fds and preexec_fn is None and group == -1 and set(identity) <= {None, -1}
+        if not (is_plain and helper.can_fork(words, environment)):
+            return _FORK_EXEC(args, programs, *others)
+        fds = {fd: fd for fd in kept if fd != errors}
+        fds |= {target: target if fd == -1 else fd for target, fd in enumerate((stdin, stdout, stderr))}
+        order = _Order(words[1:], environment, os.fsdecode(folder or os.getcwd()), [*fds], bool(new_session))
+        return helper.fork(order, [*fds.values()])
+
+    return start
+
+
+def _parse(variables: Sequence[bytes]) -> dict[str, str]:
+    pairs = (os.fsdecode(variable).partition("=") for variable in variables)
+    return {name: value for name, _, value in pairs}
+
+
+def _serve(orders: socket.socket) -> NoReturn:
+    """Forks what the owner orders until the owner has ended."""
+    Path("/proc/self/comm").write_text(NAME)
+    group = os.getpgrp()
+    os.setpgid(0, 0)  # a signal to the owner's group is for the others
+    _keep_only({orders.fileno(): orders.fileno()})
+    orders.send(b"ready")
+    while True:
+        data, fds, _, _ = socket.recv_fds(orders, _LARGEST, _MOST_FDS)
+        if not data:
+            os._exit(0)
+        orders.send(str(_fork_for_owner(_Order(**json.loads(data)), fds, group)).encode())
+        for fd in fds:
+            os.close(fd)
+
+
+def _fork_for_owner(order: _Order, fds: Sequence[int], group: int) -> int:
+    """Forks a process that belongs to the owner and its group, because its parent, a fork, ends; returns its id."""
+    hear, tell = os.pipe()
+    if (parent := os.fork()) == 0:
+        parent = os.getpid()
+        os.setpgid(0, group)
+        Path("/proc/self/comm").write_text(_name_of(order))
+        if (child := os.fork()) == 0:
+            while os.getppid() == parent:
+                time.sleep(0.0002)
+            _run(order, fds)
+        os.write(tell, str(child).encode())
+        os._exit(0)
+    os.waitpid(parent, 0)
+    os.close(tell)
+    child = int(os.read(hear, 32))
+    os.close(hear)
+    return child
+
+
+def _name_of(order: _Order) -> str:
+    if order.words[1] != "-m":
+        return "spawned"
+    module, *words = order.words[2:]
+    return words[0] if module == "factory" else module.rpartition(".")[2]
+
+
+def _run(order: _Order, fds: Sequence[int]) -> NoReturn:
+    """Runs the ordered program in this process."""
+    if order.new_session:
+        os.setsid()
+    _keep_only(dict(zip(order.targets, fds, strict=True)))
+    os.chdir(order.folder)
+    os.environ.clear()
+    os.environ.update(order.environment)
+    if spawned := _SPAWNED.fullmatch(order.words[-2]):
+        fork_children()
+        numbers = {spawned[1]: int(spawned[2]), spawned[3]: int(spawned[4])}
+        sys.argv = ["-c", order.words[-1]]
+        end_after(lambda: spawn_main(**numbers))
+    module, *words = order.words[2:]
+    if module not in _STARTS_NO_PYTHON:
+        fork_children()
+    sys.argv = [module, *words]
+    for name in (module, f"{module}.__main__"):  # to be executed as `__main__`, not to be found
+        if not hasattr(sys.modules.get(name), "__path__"):
+            sys.modules.pop(name, None)
+    end_after(lambda: runpy.run_module(module, run_name="__main__", alter_sys=True))
+
+
+def _keep_only(fds: Mapping[int, int]) -> None:
+    """Gives descriptors the numbers that are the keys and closes the others; 0, 1 and 2 lead nowhere by default."""
+    first = max(fds, default=2) + 1
+    copies = {target: fcntl.fcntl(fd, fcntl.F_DUPFD, first) for target, fd in fds.items()}
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for target in {0, 1, 2} - {*fds}:
+        os.dup2(nowhere, target)
+    for target, copy in copies.items():
+        os.dup2(copy, target)
+    for name in os.listdir("/proc/self/fd"):
+        if int(name) not in {0, 1, 2, *fds}:
+            with contextlib.suppress(OSError):
+                os.close(int(name))

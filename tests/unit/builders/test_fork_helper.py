@@ -1,0 +1,167 @@
+"""A process that the helper forks behaves like one of a new interpreter, and is a child of the process that asked."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from schemas.support.child import python_module
+from tests.acceptance.factory_cli import wait_for
+from tests.builders import fork_helper
+from tests.builders.fresh_process import in_fresh_process
+from tests.builders.process_state import children_of, is_gone
+
+MODULE = "tests.unit.builders.test_fork_helper"
+
+
+def describe() -> dict[str, Any]:
+    """Returns what a process sees of itself."""
+    return {
+        "arguments": sys.argv[1:],
+        "module": sys.modules["__main__"].__name__,
+        "variable": os.environ.get("ONLY"),
+        "folder": str(Path.cwd()),
+        "session": os.getsid(0) - os.getpid(),
+        "group": os.getpgrp(),
+        "parent": os.getppid(),
+        "is forked": MODULE not in Path("/proc/self/cmdline").read_text().split("\0"),
+        "pipes": [int(link.name) for link in Path("/proc/self/fd").iterdir() if is_added_pipe(link)],
+        "handlers": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+        == [signal.default_int_handler, signal.SIG_DFL],
+    }
+
+
+def is_added_pipe(link: Path) -> bool:
+    """Whether an entry of `/proc/self/fd` is a pipe besides the standard streams; it may be closed meanwhile."""
+    try:
+        return int(link.name) > 2 and str(link.readlink()).startswith("pipe:")
+    except OSError:
+        return False
+
+
+def main() -> int:
+    """Program of the forked processes: describes itself after a line of input, or waits."""
+    if sys.argv[1] == "wait":
+        signal.pause()
+    seen = describe() | {"input": sys.stdin.readline()}
+    os.write(int(sys.argv[2]), json.dumps(seen).encode())
+    sys.stdout.write("printed")
+    return 7
+
+
+def report(connection: Any) -> None:
+    """Program of the forked processes of `multiprocessing`."""
+    connection.send(describe())
+
+
+def begin() -> None:
+    """Forks the children of this process, which multiprocessing has started without a standard input."""
+    sys.stdin = os.fdopen(0, closefd=False)
+    fork_helper.FORKED |= {MODULE}
+    fork_helper.fork_children()
+
+
+def start(*words: str, fds: tuple[int, ...] = (), **options: Any) -> subprocess.Popen[str]:
+    command = python_module(MODULE, *words)
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        pass_fds=fds,
+        text=True,
+        start_new_session=True,
+        **options,
+    )
+
+
+def expect_a_module(folder: Path, variables: dict[str, str], is_forked: bool) -> None:
+    begin()
+    read, write = os.pipe()
+    process = start("describe", str(write), fds=(write,), env={**os.environ, **variables, "ONLY": "this\n"}, cwd=folder)
+    os.close(write)
+    assert process.communicate("a line\n") == ("printed", None)
+    assert process.returncode == 7
+    assert json.loads(os.read(read, 1 << 16)) == {
+        "arguments": ["describe", str(write)],
+        "module": "__main__",
+        "variable": "this\n",
+        "folder": str(folder),
+        "session": 0,
+        "group": process.pid,
+        "parent": os.getpid(),
+        "is forked": is_forked,
+        "pipes": [write],
+        "handlers": True,
+        "input": "a line\n",
+    }
+    assert os.read(read, 1) == b""  # no other process holds the pipe
+
+
+@pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": str(Path(__file__).parents[3])}, {"PYTHONSAFEPATH": "1"}])
+def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(tmp_path, variables):
+    in_fresh_process(expect_a_module, tmp_path, variables, True)
+
+
+@pytest.mark.parametrize("name", ["PYTHONHASHSEED", "LD_LIBRARY_PATH"])
+def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpreter(tmp_path, name):
+    variables = {name: "1", "PYTHONPATH": str(Path(__file__).parents[3])}
+    in_fresh_process(expect_a_module, tmp_path, variables, False)
+
+
+def expect_a_killed_child() -> None:
+    """The signal may arrive before the process has begun."""
+    begin()
+    process = start("wait")
+    assert children_of(os.getpid()) == {process.pid}
+    process.terminate()
+    assert process.wait(60) == -signal.SIGTERM
+    assert is_gone(process.pid)
+
+
+def test_a_forked_process_is_a_child_that_can_be_killed_and_waited_for():
+    in_fresh_process(expect_a_killed_child)
+
+
+def expect_a_process_of_multiprocessing() -> None:
+    begin()
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=report, args=(theirs,))
+    process.start()
+    seen = ours.recv()
+    process.join(60)
+    assert process.exitcode == 0
+    assert (seen["parent"], seen["is forked"], seen["group"]) == (os.getpid(), True, os.getpgrp())
+
+
+def test_a_process_of_multiprocessing_is_forked_too():
+    in_fresh_process(expect_a_process_of_multiprocessing)
+
+
+def leave_a_helper(path: Path) -> None:
+    begin()
+    (helper,) = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    path.write_text(helper)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_the_helper_ends_with_its_owner(tmp_path):
+    """Also if the owner is killed."""
+    context = multiprocessing.get_context("spawn")
+    process = context.Process(target=leave_a_helper, args=(tmp_path / "pid",))
+    process.start()
+    process.join(60)
+    assert process.exitcode == -signal.SIGKILL
+    wait_for(lambda: is_gone(int((tmp_path / "pid").read_text())))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
