@@ -54,6 +54,7 @@ IMPORTED = (
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
     *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas
     *("coordinator.validation.validator_child", "factory.eval.process.child", "factory.runs.build_process"),
+    "factory.eval.remote.eval_worker",
     *("factory.web.figures.process", "workers.render.process_child", "workers.sim.simulate", "moderngl"),
     "tests.builders.room_coordinator",
 )

@@ -34,11 +34,12 @@ from schemas.support.child import SAFE_PATH
 
 NAME = "fork-helper"
 """Name of the helper's process, at most 15 characters."""
-_VALIDATOR = "coordinator.validation.validator_child"
+VALIDATOR = "coordinator.validation.validator_child"
 FORKED = frozenset(
     {
         "factory",
         "factory.eval.process.child",
+        "factory.eval.remote.eval_worker",
         "factory.runs.build_process",
         "factory.web.figures.process",
         "workers.render.process_child",
@@ -46,7 +47,7 @@ FORKED = frozenset(
     }
 )
 """Modules that are forked, besides that of validators."""
-_STARTS_NO_PYTHON = frozenset({_VALIDATOR, "workers.render.process_child"})
+_STARTS_NO_PYTHON = frozenset({VALIDATOR, "workers.render.process_child"})
 _SPAWNED = re.compile(r"from multiprocessing\.spawn import spawn_main; spawn_main\((\w+)=(\d+), (\w+)=(\d+)\)")
 _AT_START = ("LD_", "PYTHON")
 """Beginnings of the names of variables that loader and interpreter read at their start."""
@@ -86,7 +87,7 @@ class _Helper:
             return False
         if _SPAWNED.fullmatch(words[-2]):
             return True
-        if words[1:4] != ["-P", "-m", _VALIDATOR]:
+        if words[1:4] != ["-P", "-m", VALIDATOR]:
             return words[1:3] == ["-P", "-m"] and words[3] in FORKED
         memory_bytes = ValidatorLimits.model_validate_json(words[4]).memory_bytes
         return memory_bytes - self._bytes >= _VALIDATION_BYTES

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -161,6 +162,16 @@ def test_the_helper_ends_with_its_owner(tmp_path):
     process.join(60)
     assert process.exitcode == -signal.SIGKILL
     wait_for(lambda: is_gone(int((tmp_path / "pid").read_text())))
+
+
+def test_every_module_that_the_product_starts_is_forked():
+    started = {
+        module
+        for package in ("coordinator", "factory", "workers")
+        for path in Path(package).rglob("*.py")
+        for module in re.findall(r'python_module\(\s*"([^"]+)"', path.read_text())
+    }
+    assert started == fork_helper.FORKED | {fork_helper.VALIDATOR}
 
 
 if __name__ == "__main__":
