@@ -1,7 +1,7 @@
 """Forks the Python processes that a tested process starts, instead of starting interpreters that import for a second.
 
 A helper, a copy of the process from before it starts threads, forks them. They are real children of the process, with
-the arguments, environment, directory, descriptors and session that it asked for, and run their module as `python -m`
+the arguments, environment, directory, descriptors and session that it requested, and run their module as `python -m`
 does. Other programs, and interpreters with other variables, are started as always.
 """
 
@@ -101,7 +101,7 @@ class _Helper:
                 reply = self._orders.recv(32)
             finally:
                 _prctl(_PR_SET_CHILD_SUBREAPER, 0)
-        assert reply, f"the helper has ended; it was asked for {order.words}"
+        assert reply, f"the helper has ended; {order.words} were requested"
         return int(reply)
 
 

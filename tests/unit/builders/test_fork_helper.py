@@ -1,4 +1,4 @@
-"""A process that the helper forks behaves like one of a new interpreter, and is a child of the process that asked."""
+"""A process that the helper forks behaves like one of a new interpreter, and is a child of the one that requested it."""
 
 from __future__ import annotations
 
@@ -35,9 +35,13 @@ def describe() -> dict[str, Any]:
         "parent": os.getppid(),
         "is forked": MODULE not in Path("/proc/self/cmdline").read_text().split("\0"),
         "pipes": [int(link.name) for link in Path("/proc/self/fd").iterdir() if is_added_pipe(link)],
-        "handlers": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-        == [signal.default_int_handler, signal.SIG_DFL],
+        "handlers": handlers(),
     }
+
+
+def handlers() -> list[str]:
+    """Returns the handlers of the signals that end a command; a new process inherits that it ignores one."""
+    return [str(signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
 
 
 def is_added_pipe(link: Path) -> bool:
@@ -100,7 +104,7 @@ def expect_a_module(folder: Path, variables: dict[str, str], is_forked: bool) ->
         "parent": os.getpid(),
         "is forked": is_forked,
         "pipes": [write],
-        "handlers": True,
+        "handlers": handlers(),
         "input": "a line\n",
     }
     assert os.read(read, 1) == b""  # no other process holds the pipe
@@ -118,7 +122,7 @@ def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpret
 
 
 def expect_a_killed_child() -> None:
-    """The signal may arrive before the process has begun."""
+    """The signal may arrive before the process runs its program."""
     begin()
     process = start("wait")
     assert children_of(os.getpid()) == {process.pid}
