@@ -1,4 +1,4 @@
-"""A process that the helper forks behaves like one of a new interpreter, and is a child of the one that requested it."""
+"""A process that the helper forks behaves like one of a new interpreter, and is a child of its requester."""
 
 from __future__ import annotations
 
