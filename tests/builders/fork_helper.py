@@ -23,7 +23,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import asdict, dataclass
 from multiprocessing.spawn import spawn_main
 from pathlib import Path
@@ -37,6 +37,7 @@ NAME = "fork-helper"
 VALIDATOR = "coordinator.validation.validator_child"
 FORKED = frozenset(
     {
+        VALIDATOR,
         "factory",
         "factory.eval.process.child",
         "factory.eval.remote.eval_worker",
@@ -46,7 +47,7 @@ FORKED = frozenset(
         "workers.sim.simulate",
     }
 )
-"""Modules that are forked, besides that of validators."""
+"""Modules of the product that its processes start."""
 _STARTS_NO_PYTHON = frozenset({VALIDATOR, "workers.render.process_child"})
 _SPAWNED = re.compile(r"from multiprocessing\.spawn import spawn_main; spawn_main\((\w+)=(\d+), (\w+)=(\d+)\)")
 _AT_START = ("LD_", "PYTHON")
@@ -57,6 +58,7 @@ _LARGEST, _MOST_FDS = 1 << 17, 64
 _PR_SET_CHILD_SUBREAPER = 36
 _FORK_EXEC = _posixsubprocess.fork_exec
 """The function that starts a process in `subprocess` and `multiprocessing`."""
+_COMM = Path("/proc/self/comm")
 _prctl = ctypes.CDLL(None, use_errno=True).prctl
 
 
@@ -74,7 +76,8 @@ class _Order:
 class _Helper:
     """The owner's side of the helper."""
 
-    def __init__(self, orders: socket.socket) -> None:
+    def __init__(self, orders: socket.socket, modules: Set[str]) -> None:
+        self._modules = modules
         self._orders, self._owner, self._lock = orders, os.getpid(), threading.Lock()
         self._variables = _read_at_start(os.environ)
         self._bytes = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
@@ -87,8 +90,10 @@ class _Helper:
             return False
         if _SPAWNED.fullmatch(words[-2]):
             return True
-        if words[1:4] != ["-P", "-m", VALIDATOR]:
-            return words[1:3] == ["-P", "-m"] and words[3] in FORKED
+        if words[1:3] != ["-P", "-m"] or words[3] not in self._modules:
+            return False
+        if words[3] != VALIDATOR:
+            return True
         memory_bytes = ValidatorLimits.model_validate_json(words[4]).memory_bytes
         return memory_bytes - self._bytes >= _VALIDATION_BYTES
 
@@ -105,15 +110,22 @@ class _Helper:
         return int(reply)
 
 
-def fork_children() -> None:
-    """Starts the helper of this process, which forks its children from now on. Call it before threads start."""
+def fork_children(modules: Set[str] = FORKED) -> None:
+    """Starts the helper of this process, which forks its children from now on. Call it before threads start.
+
+    Args:
+        modules: modules of the children that are forked. Processes of `multiprocessing` are forked too.
+    """
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    name = _COMM.read_text()
+    _COMM.write_text(NAME)  # the helper has its name from the start
     if os.fork() == 0:
         ours.close()
         _serve(theirs)
+    _COMM.write_text(name)
     theirs.close()
     assert ours.recv(8), "the helper does not start"
-    start = _forked(_Helper(ours))
+    start = _forked(_Helper(ours, modules))
     subprocess._fork_exec = _posixsubprocess.fork_exec = start  # type: ignore[attr-defined]
 
 
@@ -147,10 +159,16 @@ def end_after(program: Callable[[], object]) -> NoReturn:
 
 
 def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
-    """Returns the variables that change a process from its start; a directory already on the path changes nothing."""
+    """Returns the variables that change a process from its start.
+
+    A directory that is missing, such as the one that OpenCV adds, or that is imported from anyway, changes nothing.
+    """
     found = {name: value for name, value in environment.items() if name.startswith(_AT_START) and name != SAFE_PATH}
-    added = [entry for entry in found.pop("PYTHONPATH", "").split(os.pathsep) if entry not in {"", *sys.path}]
-    return found | ({"PYTHONPATH": os.pathsep.join(added)} if added else {})
+    for name in ("PYTHONPATH", "LD_LIBRARY_PATH"):
+        entries = found.pop(name, "").split(os.pathsep)
+        if added := [entry for entry in entries if entry not in {"", *sys.path} and Path(entry).exists()]:
+            found[name] = os.pathsep.join(added)
+    return found
 
 
 def _forked(helper: _Helper) -> Callable[..., int]:
@@ -163,7 +181,7 @@ def _forked(helper: _Helper) -> Callable[..., int]:
         ) = others[:12], others[12:]
         words = [*map(os.fsdecode, args)]
         environment = dict(os.environ) if variables is None else _parse(variables)
-        is_plain = close_fds and preexec_fn is None and group == -1 and set(identity) <= {None, -1}
+        is_plain = close_fds and preexec_fn is None and group == -1 and all(each in (None, -1) for each in identity)
         if not (is_plain and helper.can_fork(words, environment)):
             return _FORK_EXEC(args, programs, *others)
         fds = {fd: fd for fd in kept if fd != errors}
@@ -181,7 +199,6 @@ def _parse(variables: Sequence[bytes]) -> dict[str, str]:
 
 def _serve(orders: socket.socket) -> NoReturn:
     """Forks what the owner orders until the owner has ended."""
-    Path("/proc/self/comm").write_text(NAME)
     group = os.getpgrp()
     os.setpgid(0, 0)  # a signal to the owner's group is for the others
     _keep_only({orders.fileno(): orders.fileno()})
@@ -201,7 +218,7 @@ def _fork_for_owner(order: _Order, fds: Sequence[int], group: int) -> int:
     if (parent := os.fork()) == 0:
         parent = os.getpid()
         os.setpgid(0, group)
-        Path("/proc/self/comm").write_text(_name_of(order))
+        _COMM.write_text(_name_of(order))
         if (child := os.fork()) == 0:
             while os.getppid() == parent:
                 time.sleep(0.0002)

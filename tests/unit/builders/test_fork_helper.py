@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -17,61 +18,15 @@ import pytest
 from schemas.support.child import python_module
 from tests.acceptance.factory_cli import wait_for
 from tests.builders import fork_helper
+from tests.builders.described_process import MODULE, handlers, report
 from tests.builders.fresh_process import in_fresh_process
 from tests.builders.process_state import children_of, is_gone
-
-MODULE = "tests.unit.builders.test_fork_helper"
-
-
-def describe() -> dict[str, Any]:
-    """Returns what a process sees of itself."""
-    return {
-        "arguments": sys.argv[1:],
-        "module": sys.modules["__main__"].__name__,
-        "variable": os.environ.get("ONLY"),
-        "folder": str(Path.cwd()),
-        "session": os.getsid(0) - os.getpid(),
-        "group": os.getpgrp(),
-        "parent": os.getppid(),
-        "is forked": MODULE not in Path("/proc/self/cmdline").read_text().split("\0"),
-        "pipes": [int(link.name) for link in Path("/proc/self/fd").iterdir() if is_added_pipe(link)],
-        "handlers": handlers(),
-    }
-
-
-def handlers() -> list[str]:
-    """Returns the handlers of the signals that end a command; a new process inherits that it ignores one."""
-    return [str(signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
-
-
-def is_added_pipe(link: Path) -> bool:
-    """Whether an entry of `/proc/self/fd` is a pipe besides the standard streams; it may be closed meanwhile."""
-    try:
-        return int(link.name) > 2 and str(link.readlink()).startswith("pipe:")
-    except OSError:
-        return False
-
-
-def main() -> int:
-    """Program of the forked processes: describes itself after a line of input, or waits."""
-    if sys.argv[1] == "wait":
-        signal.pause()
-    seen = describe() | {"input": sys.stdin.readline()}
-    os.write(int(sys.argv[2]), json.dumps(seen).encode())
-    sys.stdout.write("printed")
-    return 7
-
-
-def report(connection: Any) -> None:
-    """Program of the forked processes of `multiprocessing`."""
-    connection.send(describe())
 
 
 def begin() -> None:
     """Forks the children of this process, which multiprocessing has started without a standard input."""
     sys.stdin = os.fdopen(0, closefd=False)
-    fork_helper.FORKED |= {MODULE}
-    fork_helper.fork_children()
+    fork_helper.fork_children({MODULE})
 
 
 def start(*words: str, fds: tuple[int, ...] = (), **options: Any) -> subprocess.Popen[str]:
@@ -115,9 +70,9 @@ def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and
     in_fresh_process(expect_a_module, tmp_path, variables, True)
 
 
-@pytest.mark.parametrize("name", ["PYTHONHASHSEED", "LD_LIBRARY_PATH"])
-def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpreter(tmp_path, name):
-    variables = {name: "1", "PYTHONPATH": str(Path(__file__).parents[3])}
+@pytest.mark.parametrize(("name", "value"), [("PYTHONHASHSEED", "1"), ("LD_LIBRARY_PATH", "/")])
+def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpreter(tmp_path, name, value):
+    variables = {name: value, "PYTHONPATH": str(Path(__file__).parents[3])}
     in_fresh_process(expect_a_module, tmp_path, variables, False)
 
 
@@ -133,6 +88,18 @@ def expect_a_killed_child() -> None:
 
 def test_a_forked_process_is_a_child_that_can_be_killed_and_waited_for():
     in_fresh_process(expect_a_killed_child)
+
+
+def expect_programs_with_another_identity() -> None:
+    begin()
+    for options in ({"umask": 0o077}, {"extra_groups": os.getgroups()}):
+        with contextlib.suppress(PermissionError):  # only root sets groups
+            printed = subprocess.run(["sh", "-c", "umask"], stdout=subprocess.PIPE, check=True, **options).stdout
+            assert (printed == b"0077\n") == ("umask" in options)
+
+
+def test_other_programs_with_groups_or_a_mask_are_started_as_before():
+    in_fresh_process(expect_programs_with_another_identity)
 
 
 def expect_a_process_of_multiprocessing() -> None:
@@ -151,9 +118,14 @@ def test_a_process_of_multiprocessing_is_forked_too():
     in_fresh_process(expect_a_process_of_multiprocessing)
 
 
+def direct_children() -> set[str]:
+    return {*Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()}
+
+
 def leave_a_helper(path: Path) -> None:
+    others = direct_children()
     begin()
-    (helper,) = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    (helper,) = direct_children() - others
     path.write_text(helper)
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -175,8 +147,4 @@ def test_every_module_that_the_product_starts_is_forked():
         for path in Path(package).rglob("*.py")
         for module in re.findall(r'python_module\(\s*"([^"]+)"', path.read_text())
     }
-    assert started == fork_helper.FORKED | {fork_helper.VALIDATOR}
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    assert started == fork_helper.FORKED

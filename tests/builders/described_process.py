@@ -1,0 +1,62 @@
+"""Program that describes its process, for the comparison of forked processes with new interpreters."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+MODULE = "tests.builders.described_process"
+"""Name of this module, also while it runs as `__main__`."""
+
+
+def describe() -> dict[str, Any]:
+    """Returns what a process sees of itself."""
+    return {
+        "arguments": sys.argv[1:],
+        "module": sys.modules["__main__"].__name__,
+        "variable": os.environ.get("ONLY"),
+        "folder": str(Path.cwd()),
+        "session": os.getsid(0) - os.getpid(),
+        "group": os.getpgrp(),
+        "parent": os.getppid(),
+        "is forked": MODULE not in Path("/proc/self/cmdline").read_text().split("\0"),
+        "pipes": [int(link.name) for link in Path("/proc/self/fd").iterdir() if is_added_pipe(link)],
+        "handlers": handlers(),
+    }
+
+
+def handlers() -> list[str]:
+    """Returns the handlers of the signals that end a command; a new process inherits that it ignores one."""
+    return [str(signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
+
+
+def is_added_pipe(link: Path) -> bool:
+    """Whether an entry of `/proc/self/fd` is a pipe besides the standard streams; it may be closed meanwhile."""
+    try:
+        return int(link.name) > 2 and str(link.readlink()).startswith("pipe:")
+    except OSError:
+        return False
+
+
+def main() -> int:
+    """Program of the forked processes: describes itself after a line of input, or waits."""
+    if sys.argv[1] == "wait":
+        signal.pause()
+    seen = describe() | {"input": sys.stdin.readline()}
+    os.write(int(sys.argv[2]), json.dumps(seen).encode())
+    sys.stdout.write("printed")
+    return 7
+
+
+def report(connection: Connection) -> None:
+    """Program of the forked processes of `multiprocessing`."""
+    connection.send(describe())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
