@@ -84,7 +84,7 @@ class _Helper:
 
     def can_fork(self, words: Sequence[str], environment: Mapping[str, str]) -> bool:
         """Whether a copy of the helper can run this command as a new interpreter would; it serves only its owner."""
-        if os.getpid() != self._owner or words[0] != sys.executable:
+        if os.getpid() != self._owner or words[0] != sys.executable or len(words) < 4:
             return False
         if _read_at_start(environment) != self._variables:
             return False
