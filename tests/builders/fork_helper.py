@@ -117,7 +117,7 @@ def fork_children(modules: Set[str] = FORKED) -> None:
         modules: modules of the children that are forked. Processes of `multiprocessing` are forked too.
     """
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    name = _COMM.read_text()
+    name = _COMM.read_text().rstrip("\n")
     _COMM.write_text(NAME)  # the helper has its name from the start
     if os.fork() == 0:
         ours.close()

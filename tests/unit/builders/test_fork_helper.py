@@ -26,7 +26,9 @@ from tests.builders.process_state import children_of, is_gone
 def begin() -> None:
     """Forks the children of this process, which multiprocessing has started without a standard input."""
     sys.stdin = os.fdopen(0, closefd=False)
+    name = Path("/proc/self/comm").read_bytes()
     fork_helper.fork_children({MODULE})
+    assert Path("/proc/self/comm").read_bytes() == name
 
 
 def start(*words: str, fds: tuple[int, ...] = (), **options: Any) -> subprocess.Popen[str]:
