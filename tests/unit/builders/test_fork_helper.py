@@ -22,6 +22,8 @@ from tests.builders.described_process import MODULE, handlers, report
 from tests.builders.fresh_process import in_fresh_process
 from tests.builders.process_state import children_of, is_gone
 
+ROOT = Path(__file__).parents[3]
+
 
 def begin() -> None:
     """Forks the children of this process, which multiprocessing has started without a standard input."""
@@ -67,14 +69,14 @@ def expect_a_module(folder: Path, variables: dict[str, str], is_forked: bool) ->
     assert os.read(read, 1) == b""  # no other process holds the pipe
 
 
-@pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": str(Path(__file__).parents[3])}, {"PYTHONSAFEPATH": "1"}])
+@pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": str(ROOT)}, {"PYTHONSAFEPATH": "1"}])
 def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(tmp_path, variables):
     in_fresh_process(expect_a_module, tmp_path, variables, True)
 
 
 @pytest.mark.parametrize(("name", "value"), [("PYTHONHASHSEED", "1"), ("LD_LIBRARY_PATH", "/")])
 def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpreter(tmp_path, name, value):
-    variables = {name: value, "PYTHONPATH": str(Path(__file__).parents[3])}
+    variables = {name: value, "PYTHONPATH": str(ROOT)}
     in_fresh_process(expect_a_module, tmp_path, variables, False)
 
 
@@ -146,7 +148,15 @@ def test_every_module_that_the_product_starts_is_forked():
     started = {
         module
         for package in ("coordinator", "factory", "workers")
-        for path in Path(package).rglob("*.py")
+        for path in (ROOT / package).rglob("*.py")
         for module in re.findall(r'python_module\(\s*"([^"]+)"', path.read_text())
     }
     assert started == fork_helper.FORKED
+
+
+@pytest.mark.parametrize("module", sorted(fork_helper.FORKED - {"factory"} | {"factory.__main__"}))
+def test_a_new_interpreter_imports_each_forked_module_first(module):
+    """In forks all modules are imported already, which would hide an import that works in one order only."""
+    command = [sys.executable, "-P", "-c", f"import {module}"]
+    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
