@@ -44,8 +44,13 @@ def is_added_pipe(link: Path) -> bool:
 
 
 def main() -> int:
-    """Program of the forked processes: describes itself after a line of input, or waits."""
+    """Program of the forked processes: describes itself after a line of input, or waits, or gets a name and waits."""
     if sys.argv[1] == "wait":
+        signal.pause()
+    if sys.argv[1] == "rename":
+        Path("/proc/self/comm").write_text(sys.argv[2])
+        sys.stdout.write("renamed\n")
+        sys.stdout.flush()
         signal.pause()
     seen = describe() | {"input": sys.stdin.readline()}
     os.write(int(sys.argv[2]), json.dumps(seen).encode())

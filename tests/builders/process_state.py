@@ -113,17 +113,23 @@ def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
 
 
 def children_of(pid: int) -> set[int]:
-    """Returns the child processes of a process without its fork helper."""
-    found = set()
+    """Returns the child processes of a process without its fork helper.
+
+    The helper is the oldest child of that name: a process has the name, too, while it forks its own helper.
+    """
+    found, helpers = set(), []
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
             name, _, rest = status.read_text().rpartition(")")
         except OSError:
             continue
         fields = rest.split()
-        if int(fields[1]) == pid and fields[0] != "Z" and not name.endswith(f"({FORK_HELPER}"):
-            found.add(int(status.parent.name))
-    return found
+        if int(fields[1]) == pid and fields[0] != "Z":
+            child = int(status.parent.name)
+            found.add(child)
+            if name.endswith(f"({FORK_HELPER}"):
+                helpers.append((int(fields[19]), child))
+    return found - {child for _, child in sorted(helpers)[:1]}
 
 
 def is_gone(pid: int) -> bool:

@@ -94,6 +94,20 @@ def test_a_forked_process_is_a_child_that_can_be_killed_and_waited_for():
     in_fresh_process(expect_a_killed_child)
 
 
+def expect_a_child_with_the_name_of_the_helper() -> None:
+    begin()
+    process = start("rename", fork_helper.NAME)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "renamed\n"
+    assert children_of(os.getpid()) == {process.pid}
+    process.kill()
+    process.wait(60)
+
+
+def test_a_process_that_starts_its_own_helper_is_found_as_a_child():
+    in_fresh_process(expect_a_child_with_the_name_of_the_helper)
+
+
 def expect_programs_with_another_identity() -> None:
     begin()
     for options in ({"umask": 0o077}, {"extra_groups": os.getgroups()}):
