@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from typing import Any
 
 from schemas.errors import UsageError
@@ -47,10 +48,14 @@ def summary_writer(folder: str, purge_step: int) -> Any:
 def choose_device(asked: str) -> Any:
     """Returns the torch device of that name; `auto` selects a GPU if available.
 
+    PyTorch then uses only algorithms that give the same result in every run, as those of the CPU do.
+
     Raises:
         UsageError: The device is not available.
     """
     torch = load_torch()
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is used for the first time
+    torch.use_deterministic_algorithms(True)
     if asked == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:

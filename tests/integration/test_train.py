@@ -60,7 +60,7 @@ def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99) -> li
         measured=lambda measured: seen.append(measured.epoch),
         is_stopped=lambda: len(seen) >= stop_after,
     )
-    report = train_bc(TrainOrder(Dataset(root), out, options, device="cpu"), watcher)
+    report = train_bc(TrainOrder(Dataset(root), out, options, device="auto"), watcher)
     return [epoch.train_loss for epoch in report.epochs]
 
 
@@ -126,7 +126,7 @@ def test_resuming_with_other_options_is_refused_with_their_names(root: Path, tmp
 @needs_torch
 def test_resuming_with_other_episodes_is_refused(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
-    order = TrainOrder(Dataset(root).filter(episode="ep_000001"), tmp_path, options(), device="cpu")
+    order = TrainOrder(Dataset(root).filter(episode="ep_000001"), tmp_path, options(), device="auto")
     watcher = TrainCallbacks(lambda *_: None, lambda *_: None, lambda _: None, lambda: False)
     with pytest.raises(UsageError, match=r"on other episodes \(\d+ episodes, .* now \d+ episodes"):
         train_bc(order, watcher)
