@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import BytesIO
@@ -13,38 +13,13 @@ from coordinator.archive.contract import Archive
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand, to_job
-from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
 from schemas.dataset.rows import EpisodeSummary, file_name_of, summary_of
-from schemas.errors import UsageError, WorldError
+from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan
 from workers.sim.attempt import AttemptFailure, run_attempt
 from workers.sim.scene_renderer import SceneRenderer
-
-
-def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
-    """Returns the plan with `episodes` episodes in each of these scenes, or in all scenes if `scenes` is empty.
-
-    Raises:
-        UsageError: The plan does not have the scene, or has fewer episodes in it.
-    """
-    names = list(scenes) or [scene.name for scene in plan.scenes]
-    parts = tuple(shrink(plan, scenes=(name,), episodes=1).scenes[0] for name in dict.fromkeys(names))
-    found = {scene.name: scene.episodes for scene in plan.scenes}
-    short = [f"{part.name} {found[part.name]}" for part in parts if found[part.name] < episodes]
-    if short:
-        raise UsageError(
-            f"--episodes {episodes}: plan {plan.name!r} has fewer episodes of {', '.join(short)}; choose another PLAN"
-        )
-    return plan.model_copy(update={"scenes": tuple(part.model_copy(update={"episodes": episodes}) for part in parts)})
-
-
-def enlarge(plan: Plan, episodes: int) -> Plan:
-    """Returns the plan with at least `episodes` episodes, in the same proportions."""
-    times = -(-episodes // plan.episodes)
-    scenes = (scene.model_copy(update={"episodes": scene.episodes * times}) for scene in plan.scenes)
-    return plan.model_copy(update={"scenes": tuple(scenes)})
 
 
 def first_attempts(plan: Plan, catalog: Catalog, scene: str) -> tuple[Job, ...]:

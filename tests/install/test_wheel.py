@@ -98,6 +98,7 @@ def test_the_render_extra_reads_states_without_pybullet(
     said = environment.run("python", STATES_READER, states, cwd=tmp_path).stdout
     assert "without pybullet, zenoh, sqlalchemy, torch" in said
     environment.run("factory", "verify", states, "--render", "all", cwd=tmp_path)
+    environment.run("factory", "bench", "read", states, "--frames", "4", "--workers", "0", cwd=tmp_path)
     tiny = environment.run(
         "factory", "verify", states, "--render", "1", cwd=tmp_path, expect=2, MINIVLA_RENDERER="tiny"
     )

@@ -6,11 +6,14 @@ import dataclasses
 import hashlib
 import os
 import signal
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from structlog.testing import capture_logs
 
 from factory.dataset.packages import ScenePackage
 from factory.dataset.rendering.shared_renderer import KEPT_SCENES, SharedRenderer, View
@@ -71,6 +74,19 @@ def test_a_rendering_process_that_died_is_replaced_at_the_next_frame(many_scenes
     with pytest.raises(WorldError, match="the rendering process died"):
         render_all(renderer, many_scenes[:1])
     assert np.array_equal(render_all(renderer, many_scenes[:1])[0], frame)
+
+
+@pytest.mark.parametrize(("number", "warnings"), [(None, 1), (0, 1), (1, 0)])
+def test_one_worker_of_a_loader_warns_of_a_dataset_of_another_renderer(
+    many_scenes: list[ScenePackage], monkeypatch: pytest.MonkeyPatch, number: int | None, warnings: int
+) -> None:
+    worker = None if number is None else SimpleNamespace(id=number)
+    monkeypatch.setitem(sys.modules, "torch.utils.data", SimpleNamespace(get_worker_info=lambda: worker))
+    renderer, view = SharedRenderer("gl"), View(many_scenes[0], CameraConfig(), Pose.planar(1.0, 1.0, 0.3, 0.0), 32)
+    with capture_logs() as logs:
+        for _ in range(2):
+            renderer.render(view, "another renderer")
+    assert [entry["event"] for entry in logs] == ["renderer_differs"] * warnings
 
 
 def test_a_scene_package_of_many_with_one_name_is_found_by_its_digest(

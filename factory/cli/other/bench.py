@@ -123,7 +123,7 @@ def render(**options: Any) -> None:
 
     All runs render the same random poses of each scene, on one core: colour, depth and ids.
     """
-    from factory.commands.other.bench import render
+    from factory.commands.other.bench_frames import render
 
     render(**options)
 
@@ -183,6 +183,6 @@ def read(**options: Any) -> None:
 
     Without DIR or URL, a few episodes of each scene are generated first.
     """
-    from factory.commands.other.bench import read
+    from factory.commands.other.bench_frames import read
 
     read(**options)

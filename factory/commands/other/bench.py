@@ -1,45 +1,28 @@
-"""`factory bench`: measures collection, rendering, memory, coordinator and reader on this machine."""
+"""`factory bench`: measures collection, memory and coordinator on this machine. Needs PyBullet."""
 
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
 from coordinator.expansion.file import load_plan
 from factory.bench.machine import StageRecorder, describe_machine
-from factory.bench.model import CollectBench, RenderBench, RolloutBench
-from factory.bench.reading.read import bench_read
-from factory.bench.sample import first_attempts, make_sample, narrow
+from factory.bench.model import CollectBench, RolloutBench
+from factory.bench.plan_size import narrow
+from factory.bench.sample import first_attempts, make_sample
 from factory.bench.service.coordinator import bench_coordinator
 from factory.bench.simulation.collect import bench_collect
 from factory.bench.simulation.memory import bench_memory
-from factory.bench.simulation.render import bench_render
 from factory.bench.simulation.rollout import bench_rollout
-from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result
 from factory.commands.common.plan_changes import shrunk_plan
-from factory.commands.other.bench_tables import (
-    show_collect,
-    show_coordinator,
-    show_memory,
-    show_read,
-    show_render,
-    show_rollout,
-)
-from factory.dataset.reader import Dataset
+from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
+from factory.commands.other.bench_tables import show_collect, show_coordinator, show_memory, show_rollout
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
-from schemas.config import CameraConfig
-from schemas.plan import Plan
-from schemas.storage.place import Place
 from schemas.terms import ExpertName, Recording, RendererKind
 from workers.client.settings import WorkerSettings
 from workers.sim.scene_renderer import SceneRenderer
 
-_SAMPLE_PLAN = "demo"
 _MEMORY_JOBS = 25
 """Number of different jobs of each scene; they are repeated in turn."""
 
@@ -58,7 +41,7 @@ def rollout(
     """Executes `factory bench rollout`."""
     plan = shrunk_plan(narrow(load_plan(plan_name), scenes or (), episodes), {"record": record})
     machine, recorder = describe_machine(), StageRecorder()
-    with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _temporary_folder() as folder:
+    with progress_bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
@@ -97,7 +80,7 @@ def collect(
         for expert in experts or (base.expert,)
     }
     machine, processes = describe_machine(), workers or os.cpu_count() or 1
-    with _bar("collect", len(variants) * repeats) as tell, _temporary_folder() as folder:
+    with progress_bar("collect", len(variants) * repeats) as tell, temporary_folder() as folder:
         catalog = open_catalog(base, folder, scene_cache())
         paces = bench_collect(variants, catalog, folder, processes, repeats, renderer, tell)
     report = CollectBench(
@@ -111,39 +94,10 @@ def collect(
     print_result(report, as_json, show_collect)
 
 
-def render(
-    scenes: tuple[str, ...] | None,
-    frames: int,
-    size: int,
-    antialias: int,
-    repeats: int,
-    renderer: RendererKind,
-    as_json: bool,
-) -> None:
-    """Executes `factory bench render`."""
-    plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
-    machine, recorder = describe_machine(), StageRecorder()
-    with _bar("render", len(plan.scenes)) as tell, _temporary_folder() as folder:
-        catalog = open_catalog(plan, folder, scene_cache())
-        results = {}
-        for name, entry in catalog.items():
-            with SceneRenderer(renderer, recorder) as stage:
-                scene = stage.load(entry.path, entry.sha256).scene
-                results[name] = bench_render(
-                    scene, stage.renderer, recorder, CameraConfig(), frames, repeats, size, antialias
-                )
-                described = stage.renderer.description
-            tell()
-    report = RenderBench(
-        machine=machine, renderer=described, size=size, antialias=antialias, repeats=repeats, scenes=results
-    )
-    print_result(report, as_json, show_render)
-
-
 def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: RendererKind, as_json: bool) -> None:
     """Executes `factory bench memory`."""
     plan = narrow(load_plan("paper"), scenes or (), _MEMORY_JOBS)
-    with _bar("memory", episodes) as tell, _temporary_folder() as folder:
+    with progress_bar("memory", episodes) as tell, temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
         turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
         jobs = [job for turn in turns for job in turn]
@@ -156,10 +110,10 @@ def coordinator(
     jobs: int, workers: int, sessions: int, bundle_mb: int, pullers: int, repeats: int, as_json: bool
 ) -> None:
     """Executes `factory bench coordinator`."""
-    sample_plan = narrow(load_plan(_SAMPLE_PLAN), ("office",), 2)
+    sample_plan = narrow(load_plan(SAMPLE_PLAN), ("office",), 2)
     part = sample_plan.scenes[0].model_copy(update={"episodes": jobs})
     plan = load_plan("paper").model_copy(update={"scenes": (part,)})
-    with _bar("coordinator", 2) as tell, _temporary_folder() as folder:
+    with progress_bar("coordinator", 2) as tell, temporary_folder() as folder:
         catalog = open_catalog(sample_plan, folder, scene_cache())
         with SceneRenderer() as stage:
             samples = make_sample(folder / "sample", sample_plan, catalog, stage, tell)
@@ -175,42 +129,3 @@ def coordinator(
             pullers=pullers,
         )
     print_result(report, as_json, show_coordinator)
-
-
-def read(
-    root: Place | None,
-    scenes: tuple[str, ...] | None,
-    frames: int,
-    size: int,
-    antialias: int,
-    workers: int,
-    repeats: int,
-    as_json: bool,
-) -> None:
-    """Executes `factory bench read`."""
-    with _temporary_folder() as folder:
-        if root is None:
-            root = made = folder / "sample"
-            _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), folder)
-        chosen = Dataset(root).filter(**({"scene": scenes} if scenes else {}))
-        report = bench_read(chosen, frames, repeats, workers, size, antialias)
-    print_result(report, as_json, show_read)
-
-
-def _make_sample(root: Path, plan: Plan, folder: Path) -> None:
-    with _bar("sample", plan.episodes) as tell, SceneRenderer() as stage:
-        make_sample(root, plan, open_catalog(plan, folder, scene_cache()), stage, tell)
-
-
-@contextmanager
-def _temporary_folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-        yield Path(folder)
-
-
-@contextmanager
-def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
-    """Shows a progress bar; yields the function that advances it by one."""
-    with Bars(refresh_per_second=1) as bar:
-        task = bar.add_task(f"bench {name}", total=total)
-        yield lambda: bar.advance(task)

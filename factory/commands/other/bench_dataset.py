@@ -7,9 +7,10 @@ import time
 from pathlib import Path
 
 from coordinator.expansion.file import load_plan
+from factory.bench.plan_size import enlarge, narrow
 from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.synthetic import make_synthetic
-from factory.bench.sample import enlarge, make_sample, narrow
+from factory.bench.sample import make_sample
 from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result
 from factory.commands.common.plan_changes import shrunk_plan

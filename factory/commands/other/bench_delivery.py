@@ -6,7 +6,8 @@ import tempfile
 from pathlib import Path
 
 from coordinator.expansion.file import load_plan
-from factory.bench.sample import make_sample, narrow
+from factory.bench.plan_size import narrow
+from factory.bench.sample import make_sample
 from factory.bench.service.delivery import bench_delivery
 from factory.bench.service.delivery_model import DeliveryBench
 from factory.commands.common.bars import Bars

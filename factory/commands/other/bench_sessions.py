@@ -6,7 +6,8 @@ import tempfile
 from pathlib import Path
 
 from coordinator.expansion.file import load_plan
-from factory.bench.sample import make_sample, narrow
+from factory.bench.plan_size import narrow
+from factory.bench.sample import make_sample
 from factory.bench.service.delivery_model import SessionsBench
 from factory.bench.service.sessions import SessionsLoad, bench_sessions
 from factory.commands.common.bars import Bars

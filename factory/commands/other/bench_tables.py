@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
 from factory.bench.model import (
@@ -16,9 +18,11 @@ from factory.bench.model import (
     Spread,
     StageCost,
 )
-from factory.bench.reading.dataset import DatasetBench
-from factory.bench.reading.serve import RequestCost, ServeBench
 from factory.commands.common.output import print_table
+
+if TYPE_CHECKING:
+    from factory.bench.reading.dataset import DatasetBench
+    from factory.bench.reading.serve import RequestCost, ServeBench
 
 
 def show_serve(report: ServeBench) -> None:

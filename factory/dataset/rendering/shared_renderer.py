@@ -6,6 +6,7 @@ A forked process starts other rendering processes. The module reads no bundles.
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -141,7 +142,7 @@ class SharedRenderer:
             raise WorldError(f"{error}; {_REMEDY}") from error
 
     def _warn_of_other(self, here: str, recorded_with: str) -> None:
-        if recorded_with in (here, *self._warned):
+        if recorded_with in (here, *self._warned) or not _is_first_loader_worker():
             return
         self._warned.add(recorded_with)
         remedy = "`factory verify --render` compares the frames with the recorded digests"
@@ -149,6 +150,13 @@ class SharedRenderer:
 
         log = structlog.get_logger(__name__)
         log.warning("renderer_differs", recorded_with=recorded_with, here=here, remedy=remedy)
+
+
+def _is_first_loader_worker() -> bool:
+    """Whether this process is the first worker of a PyTorch DataLoader, or none: the others would log the same."""
+    loading = sys.modules.get("torch.utils.data")
+    worker = loading.get_worker_info() if loading else None
+    return worker is None or worker.id == 0
 
 
 _renderers: dict[tuple[int, str], SharedRenderer] = {}

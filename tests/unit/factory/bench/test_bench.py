@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import mmap
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -18,8 +20,8 @@ from factory.bench.machine import (
     stage_costs,
 )
 from factory.bench.model import RolloutBench, Spread
+from factory.bench.plan_size import narrow
 from factory.bench.reading.read import bench_read
-from factory.bench.sample import narrow
 from factory.bench.simulation.render import poses_in
 from factory.commands.other.bench_tables import show_rollout
 from factory.dataset.reader import Dataset
@@ -120,3 +122,10 @@ def test_reading_is_measured_on_the_existing_episodes(tmp_path) -> None:
     assert (report.episodes, report.frames, report.random_frames_per_s.runs) == (2, 4, 2)
     assert set(report.by_image) == {"rgb", "depth", "ids"}
     assert all(found.median > 0 for found in report.by_image.values())
+
+
+def test_frames_are_measured_without_the_packages_of_a_simulation() -> None:
+    modules = "{'pybullet', 'zenoh', 'sqlalchemy'}"
+    code = f"import sys, factory.commands.other.bench_frames; print({modules} & {{*sys.modules}})"
+    command = [sys.executable, "-P", "-c", code]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "set()\n"
