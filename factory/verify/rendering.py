@@ -44,6 +44,7 @@ def compare_rendered(
         WorldError: this machine cannot render.
         ArchiveCorrupt: the scene package is missing or was changed, or the reference cannot be read.
     """
+    shared_renderer().omit_warnings()
     job, digests = bundle.meta.job, bundle.meta.frame_digests
     steps = range(bundle.length) if job.record is Recording.FRAMES else job.sampled_steps(bundle.length)
     found: list[str] = []

@@ -63,7 +63,7 @@ class SharedRenderer:
         self._free: list[ProcessRenderer] = []
         self._opened = 0
         self._last = threading.local()
-        self._warned: set[str] = set()
+        self._warns, self._warned = _is_first_loader_worker(), set[str]()
 
     def render_once(self, view: View, recorded_with: str) -> RenderedFrame:
         """Returns the frame of a view as `render`, but renders it only once in a row for a thread; do not change it."""
@@ -104,6 +104,10 @@ class SharedRenderer:
             renderer.load_package(package.sha256, package.read, CameraConfig())
             return renderer.render_camera(camera, pose)
 
+    def omit_warnings(self) -> None:
+        """Logs no warning of another renderer from now on, because the caller reports how far frames differ."""
+        self._warns = False
+
     @property
     def description(self) -> str:
         """Description of the renderer, as episodes record it."""
@@ -142,7 +146,7 @@ class SharedRenderer:
             raise WorldError(f"{error}; {_REMEDY}") from error
 
     def _warn_of_other(self, here: str, recorded_with: str) -> None:
-        if recorded_with in (here, *self._warned) or not _is_first_loader_worker():
+        if not self._warns or recorded_with in (here, *self._warned):
             return
         self._warned.add(recorded_with)
         remedy = "`factory verify --render` compares the frames with the recorded digests"
