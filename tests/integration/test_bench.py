@@ -17,7 +17,8 @@ from factory.bench.machine import StageRecorder
 from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.serve import bench_serve
 from factory.bench.reading.synthetic import make_synthetic
-from factory.bench.sample import BenchSample, enlarge, first_attempts
+from factory.bench.plan_size import enlarge
+from factory.bench.sample import BenchSample, first_attempts
 from factory.bench.service.coordinator import bench_coordinator
 from factory.bench.service.delivery import bench_delivery
 from factory.bench.simulation.memory import bench_memory
