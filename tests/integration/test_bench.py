@@ -14,10 +14,10 @@ from coordinator.expansion.catalog import read_entry
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from factory.bench.machine import StageRecorder
+from factory.bench.plan_size import enlarge
 from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.serve import bench_serve
 from factory.bench.reading.synthetic import make_synthetic
-from factory.bench.plan_size import enlarge
 from factory.bench.sample import BenchSample, first_attempts
 from factory.bench.service.coordinator import bench_coordinator
 from factory.bench.service.delivery import bench_delivery
