@@ -1,8 +1,8 @@
 """Forks the Python processes that a tested process starts, instead of starting interpreters that import for a second.
 
-A helper, a copy of the process from before it starts threads, forks them. They are real children of the process, with
-the arguments, environment, directory, descriptors and session that it requested, and run their module as `python -m`
-does. Other programs, and interpreters with other variables, are started as always.
+A helper forks them: a copy of the process from before it starts threads, or a new interpreter. They are real children
+of the process, with the arguments, environment, directory, descriptors and session that it requested, and run their
+module as `python -m` does. Other programs, and interpreters with other variables, are started as always.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import atexit
 import contextlib
 import ctypes
 import fcntl
+import gc
+import importlib
 import json
 import os
 import re
@@ -52,6 +54,8 @@ _STARTS_NO_PYTHON = frozenset({VALIDATOR, "workers.render.process_child"})
 _SPAWNED = re.compile(r"from multiprocessing\.spawn import spawn_main; spawn_main\((\w+)=(\d+), (\w+)=(\d+)\)")
 _AT_START = ("LD_", "PYTHON")
 """Beginnings of the names of variables that loader and interpreter read at their start."""
+NEW_INTERPRETER = "PYTHON_NEW_INTERPRETER"
+"""Variable of this name that a test sets: its processes are new interpreters."""
 _VALIDATION_BYTES = 512 << 20
 """Address space that a validator needs in addition to that of the helper, bytes."""
 _LARGEST, _MOST_FDS = 1 << 17, 64
@@ -76,22 +80,14 @@ class _Order:
 class _Helper:
     """The owner's side of the helper."""
 
-    def __init__(self, orders: socket.socket, modules: Set[str]) -> None:
-        self._modules = modules
-        self._orders, self._owner, self._lock = orders, os.getpid(), threading.Lock()
-        self._variables = _read_at_start(os.environ)
-        self._bytes = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    def __init__(self, orders: socket.socket) -> None:
+        self._orders, self._lock = orders, threading.Lock()
+        ready = orders.recv(32)
+        assert ready, "the helper does not start"
+        self._bytes = int(ready)
 
-    def can_fork(self, words: Sequence[str], environment: Mapping[str, str]) -> bool:
-        """Whether a copy of the helper can run this command as a new interpreter would; it serves only its owner."""
-        if os.getpid() != self._owner or words[0] != sys.executable or len(words) < 4:
-            return False
-        if _read_at_start(environment) != self._variables:
-            return False
-        if _SPAWNED.fullmatch(words[-2]):
-            return True
-        if words[1:3] != ["-P", "-m"] or words[3] not in self._modules:
-            return False
+    def has_room(self, words: Sequence[str]) -> bool:
+        """Whether the address space of a validator is large enough for a copy of the helper."""
         if words[3] != VALIDATOR:
             return True
         memory_bytes = ValidatorLimits.model_validate_json(words[4]).memory_bytes
@@ -124,9 +120,36 @@ def fork_children(modules: Set[str] = FORKED) -> None:
         _serve(theirs)
     _COMM.write_text(name)
     theirs.close()
-    assert ours.recv(8), "the helper does not start"
-    start = _forked(_Helper(ours, modules))
-    subprocess._fork_exec = _posixsubprocess.fork_exec = start  # type: ignore[attr-defined]
+    helper = _Helper(ours)
+    _replace_start(_Forkable(modules), lambda: helper)
+
+
+def fork_children_of_threads(imports: Sequence[str], modules: Set[str] = FORKED) -> None:
+    """Forks the children of this process from a new interpreter; this process may have threads.
+
+    Args:
+        imports: modules that the interpreter imports when the first child starts.
+        modules: modules of the children that are forked. Processes of `multiprocessing` are forked too.
+    """
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    started: list[tuple[_Helper, subprocess.Popen[bytes]]] = []
+    lock = threading.Lock()
+
+    def helper() -> _Helper:
+        with lock:
+            if not started:
+                ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                command = [sys.executable, "-m", __name__, str(theirs.fileno()), *imports]
+                process = subprocess.Popen(
+                    command, env=environment, cwd=Path(__file__).parents[2], pass_fds=(theirs.fileno(),)
+                )
+                theirs.close()
+                started.append((_Helper(ours), process))
+                atexit.register(process.wait)
+                atexit.register(ours.close)  # which ends it
+        return started[0][0]
+
+    _replace_start(_Forkable(modules), helper)
 
 
 def end_after(program: Callable[[], object]) -> NoReturn:
@@ -171,8 +194,26 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def _forked(helper: _Helper) -> Callable[..., int]:
-    """Returns the function that starts processes of `subprocess` and `multiprocessing`, with forks where possible."""
+class _Forkable:
+    """The commands of this process, and of no fork of it, that a fork runs as a new interpreter would."""
+
+    def __init__(self, modules: Set[str]) -> None:
+        self._modules, self._owner = modules, os.getpid()
+        self._variables = _read_at_start(os.environ)
+
+    def contains(self, words: Sequence[str], environment: Mapping[str, str]) -> bool:
+        """Whether the arguments and the variables of a command permit a fork."""
+        if os.getpid() != self._owner or words[0] != sys.executable or len(words) < 4:
+            return False
+        if _read_at_start(environment) != self._variables:
+            return False
+        if _SPAWNED.fullmatch(words[-2]):
+            return True
+        return words[1:3] == ["-P", "-m"] and words[3] in self._modules
+
+
+def _replace_start(forkable: _Forkable, helper: Callable[[], _Helper]) -> None:
+    """Replaces the function that starts processes of `subprocess` and `multiprocessing` by forks where possible."""
 
     def start(args: Sequence[Any], programs: object, *others: Any) -> int:
         (
@@ -182,14 +223,14 @@ def _forked(helper: _Helper) -> Callable[..., int]:
         words = [*map(os.fsdecode, args)]
         environment = dict(os.environ) if variables is None else _parse(variables)
         is_plain = close_fds and preexec_fn is None and group == -1 and all(each in (None, -1) for each in identity)
-        if not (is_plain and helper.can_fork(words, environment)):
+        if not (is_plain and forkable.contains(words, environment) and helper().has_room(words)):
             return _FORK_EXEC(args, programs, *others)
         fds = {fd: fd for fd in kept if fd != errors}
         fds |= {target: target if fd == -1 else fd for target, fd in enumerate((stdin, stdout, stderr))}
         order = _Order(words[1:], environment, os.fsdecode(folder or os.getcwd()), [*fds], bool(new_session))
-        return helper.fork(order, [*fds.values()])
+        return helper().fork(order, [*fds.values()])
 
-    return start
+    subprocess._fork_exec = _posixsubprocess.fork_exec = start  # type: ignore[attr-defined]
 
 
 def _parse(variables: Sequence[bytes]) -> dict[str, str]:
@@ -202,7 +243,7 @@ def _serve(orders: socket.socket) -> NoReturn:
     group = os.getpgrp()
     os.setpgid(0, 0)  # a signal to the owner's group is for the others
     _keep_only({orders.fileno(): orders.fileno()})
-    orders.send(b"ready")
+    orders.send(str(int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")).encode())
     while True:
         data, fds, _, _ = socket.recv_fds(orders, _LARGEST, _MOST_FDS)
         if not data:
@@ -275,3 +316,11 @@ def _keep_only(fds: Mapping[int, int]) -> None:
         if int(name) not in {0, 1, 2, *fds}:
             with contextlib.suppress(OSError):
                 os.close(int(name))
+
+
+if __name__ == "__main__":
+    for each in sys.argv[2:]:
+        importlib.import_module(each)
+    gc.freeze()
+    _COMM.write_text(NAME)
+    _serve(socket.socket(fileno=int(sys.argv[1])))

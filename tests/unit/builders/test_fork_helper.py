@@ -10,6 +10,8 @@ import re
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +27,25 @@ from tests.builders.process_state import children_of, is_gone
 ROOT = Path(__file__).parents[3]
 
 
+@pytest.fixture(autouse=True)
+def new_interpreters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes of these tests have no helper before they start one."""
+    monkeypatch.setenv(fork_helper.NEW_INTERPRETER, "1")
+
+
 def begin() -> None:
     """Forks the children of this process, which multiprocessing has started without a standard input."""
     sys.stdin = os.fdopen(0, closefd=False)
     name = Path("/proc/self/comm").read_bytes()
     fork_helper.fork_children({MODULE})
     assert Path("/proc/self/comm").read_bytes() == name
+
+
+def begin_with_threads() -> None:
+    """Forks the children of a process that has a thread."""
+    sys.stdin = os.fdopen(0, closefd=False)
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+    fork_helper.fork_children_of_threads(("decimal",), {MODULE})
 
 
 def start(*words: str, fds: tuple[int, ...] = (), **options: Any) -> subprocess.Popen[str]:
@@ -46,8 +61,8 @@ def start(*words: str, fds: tuple[int, ...] = (), **options: Any) -> subprocess.
     )
 
 
-def expect_a_module(folder: Path, variables: dict[str, str], is_forked: bool) -> None:
-    begin()
+def expect_a_module(begins: Callable[[], None], folder: Path, variables: dict[str, str], is_forked: bool) -> None:
+    begins()
     read, write = os.pipe()
     process = start("describe", str(write), fds=(write,), env={**os.environ, **variables, "ONLY": "this\n"}, cwd=folder)
     os.close(write)
@@ -69,20 +84,22 @@ def expect_a_module(folder: Path, variables: dict[str, str], is_forked: bool) ->
     assert os.read(read, 1) == b""  # no other process holds the pipe
 
 
+@pytest.mark.parametrize("begins", [begin, begin_with_threads])
 @pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": str(ROOT)}, {"PYTHONSAFEPATH": "1"}])
-def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(tmp_path, variables):
-    in_fresh_process(expect_a_module, tmp_path, variables, True)
+def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(tmp_path, begins, variables):
+    in_fresh_process(expect_a_module, begins, tmp_path, variables, True)
 
 
+@pytest.mark.parametrize("begins", [begin, begin_with_threads])
 @pytest.mark.parametrize(("name", "value"), [("PYTHONHASHSEED", "1"), ("LD_LIBRARY_PATH", "/")])
-def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpreter(tmp_path, name, value):
+def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpreter(tmp_path, begins, name, value):
     variables = {name: value, "PYTHONPATH": str(ROOT)}
-    in_fresh_process(expect_a_module, tmp_path, variables, False)
+    in_fresh_process(expect_a_module, begins, tmp_path, variables, False)
 
 
-def expect_a_killed_child() -> None:
+def expect_a_killed_child(begins: Callable[[], None]) -> None:
     """The signal may arrive before the process runs its program."""
-    begin()
+    begins()
     process = start("wait")
     assert children_of(os.getpid()) == {process.pid}
     process.terminate()
@@ -90,8 +107,9 @@ def expect_a_killed_child() -> None:
     assert is_gone(process.pid)
 
 
-def test_a_forked_process_is_a_child_that_can_be_killed_and_waited_for():
-    in_fresh_process(expect_a_killed_child)
+@pytest.mark.parametrize("begins", [begin, begin_with_threads])
+def test_a_forked_process_is_a_child_that_can_be_killed_and_waited_for(begins):
+    in_fresh_process(expect_a_killed_child, begins)
 
 
 def expect_a_child_with_the_name_of_the_helper() -> None:
@@ -140,18 +158,21 @@ def direct_children() -> set[str]:
     return {*Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()}
 
 
-def leave_a_helper(path: Path) -> None:
+def leave_a_helper(path: Path, begins: Callable[[], None]) -> None:
     others = direct_children()
-    begin()
-    (helper,) = direct_children() - others
+    begins()
+    process = start("wait")
+    (helper,) = direct_children() - others - {str(process.pid)}
+    process.kill()
     path.write_text(helper)
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_the_helper_ends_with_its_owner(tmp_path):
+@pytest.mark.parametrize("begins", [begin, begin_with_threads])
+def test_the_helper_ends_with_its_owner(tmp_path, begins):
     """Also if the owner is killed."""
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=leave_a_helper, args=(tmp_path / "pid",))
+    process = context.Process(target=leave_a_helper, args=(tmp_path / "pid", begins))
     process.start()
     process.join(60)
     assert process.exitcode == -signal.SIGKILL
