@@ -11,7 +11,7 @@ import hypothesis
 import pytest
 
 from tests.acceptance.factory_cli import IMPORTED, FactoryCli, start_server
-from tests.builders.fork_helper import fork_children_of_threads
+from tests.builders.fork_helper import fork_children_from_interpreter
 from tests.builders.fork_server import ForkServer
 from tests.builders.layouts import Layouts
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
@@ -21,7 +21,7 @@ from tests.builders.shared import session_folder
 from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
-fork_children_of_threads(("factory.__main__", *IMPORTED))
+fork_children_from_interpreter(("factory.__main__", *IMPORTED))
 # no test depends on the speed of the machine
 hypothesis.settings.register_profile(
     "any-speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]

@@ -31,7 +31,7 @@ from factory.train.frames import TrainingFrames
 from factory.train.options import BcOptions, CheckpointMeta
 from factory.train.rendered import render_frames
 from factory.train.report import EpochMeasures, TrainReport
-from factory.train.torch_import import choose_device, load_torch, require_logs, summary_writer
+from factory.train.torch_import import choose_device, deterministic_algorithms, load_torch, require_logs, summary_writer
 from factory.train.vocabulary import vocabulary
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import translated
@@ -71,6 +71,7 @@ class TrainCallbacks:
     is_stopped: Callable[[], bool]
 
 
+@deterministic_algorithms()
 def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     """Trains until all epochs are done, the time limit is reached or the caller stops it; resumes from the folder.
 

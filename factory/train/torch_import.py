@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from schemas.errors import UsageError
@@ -48,14 +50,10 @@ def summary_writer(folder: str, purge_step: int) -> Any:
 def choose_device(asked: str) -> Any:
     """Returns the torch device of that name; `auto` selects a GPU if available.
 
-    PyTorch then uses only algorithms that give the same result in every run, as those of the CPU do.
-
     Raises:
         UsageError: The device is not available.
     """
     torch = load_torch()
-    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is used for the first time
-    torch.use_deterministic_algorithms(True)
     if asked == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
@@ -65,3 +63,16 @@ def choose_device(asked: str) -> Any:
         first = (str(error).splitlines() or ["unknown"])[0]
         raise UsageError(f"--device {asked} is not available ({first}); use auto or cpu") from error
     return device
+
+
+@contextmanager
+def deterministic_algorithms() -> Iterator[None]:
+    """Limits PyTorch to algorithms that give the same result in every run, on a GPU too."""
+    torch = load_torch()
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is used for the first time
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(True)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before)

@@ -124,7 +124,7 @@ def fork_children(modules: Set[str] = FORKED) -> None:
     _replace_start(_Forkable(modules), lambda: helper)
 
 
-def fork_children_of_threads(imports: Sequence[str], modules: Set[str] = FORKED) -> None:
+def fork_children_from_interpreter(imports: Sequence[str], modules: Set[str] = FORKED) -> None:
     """Forks the children of this process from a new interpreter; this process may have threads.
 
     Args:

@@ -115,6 +115,22 @@ def test_resumed_training_ends_with_the_same_weights(root: Path, tmp_path: Path)
 
 
 @needs_torch
+def test_only_a_training_is_limited_to_deterministic_algorithms(root: Path, tmp_path: Path) -> None:
+    import torch
+
+    seen: list[bool] = []
+    watcher = TrainCallbacks(
+        lambda *_: None,
+        lambda *_: seen.append(torch.are_deterministic_algorithms_enabled()),
+        lambda _: None,
+        lambda: False,
+    )
+    train_bc(TrainOrder(Dataset(root), tmp_path, options(epochs=1), device="auto"), watcher)
+    assert set(seen) == {True}
+    assert not torch.are_deterministic_algorithms_enabled()
+
+
+@needs_torch
 def test_resuming_with_other_options_is_refused_with_their_names(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
     held = (tmp_path / "state.pt").read_bytes()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from factory.bench.sample import make_sample
 from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result
 from factory.commands.common.plan_changes import shrunk_plan
+from factory.commands.other.bench_progress import SAMPLE_PLAN, temporary_folder
 from factory.commands.other.bench_tables import show_dataset
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
@@ -22,10 +22,9 @@ from workers.sim.scene_renderer import SceneRenderer
 
 def dataset(episodes: int, reads: int, out: Path | None, as_json: bool) -> None:
     """Executes `factory bench dataset`."""
-    sample_plan = shrunk_plan(narrow(load_plan("demo"), (), 2), {"record": "states"})
+    sample_plan = shrunk_plan(narrow(load_plan(SAMPLE_PLAN), (), 2), {"record": "states"})
     plan = shrunk_plan(enlarge(load_plan("paper"), episodes), {"record": "states", "episodes": episodes})
-    with tempfile.TemporaryDirectory(prefix="bench-") as name, Bars(refresh_per_second=1) as bar:
-        folder = Path(name)
+    with temporary_folder() as folder, Bars(refresh_per_second=1) as bar:
         catalog = open_catalog(sample_plan, folder, scene_cache())
         with SceneRenderer() as stage:
             task = bar.add_task("bench sample", total=sample_plan.episodes)

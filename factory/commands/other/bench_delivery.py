@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from coordinator.expansion.file import load_plan
 from factory.bench.plan_size import narrow
 from factory.bench.sample import make_sample
 from factory.bench.service.delivery import bench_delivery
 from factory.bench.service.delivery_model import DeliveryBench
-from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result, print_table
 from factory.commands.common.plan_changes import shrunk_plan
+from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
 from workers.sim.scene_renderer import SceneRenderer
@@ -20,15 +17,9 @@ from workers.sim.scene_renderer import SceneRenderer
 
 def delivery(episodes: int, workers: int, pullers: int, spot_checks: float, record: str | None, as_json: bool) -> None:
     """Executes `factory bench delivery`."""
-    plan = shrunk_plan(narrow(load_plan("demo"), ("office",), 2), {"record": record})
-    with tempfile.TemporaryDirectory(prefix="bench-") as name, Bars(refresh_per_second=1) as bar:
-        folder = Path(name)
+    plan = shrunk_plan(narrow(load_plan(SAMPLE_PLAN), ("office",), 2), {"record": record})
+    with progress_bar("delivery", plan.episodes + 2) as tell, temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
-        task = bar.add_task("bench delivery", total=plan.episodes + 2)
-
-        def tell() -> None:
-            bar.advance(task)
-
         with SceneRenderer() as stage:
             samples = make_sample(folder / "sample", plan, catalog, stage, tell)
         report = bench_delivery(

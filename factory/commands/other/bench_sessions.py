@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from coordinator.expansion.file import load_plan
 from factory.bench.plan_size import narrow
 from factory.bench.sample import make_sample
 from factory.bench.service.delivery_model import SessionsBench
 from factory.bench.service.sessions import SessionsLoad, bench_sessions
-from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result, print_table
 from factory.commands.common.plan_changes import shrunk_plan
+from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
 from schemas.bundle import BundleReader
@@ -21,13 +18,11 @@ from workers.sim.scene_renderer import SceneRenderer
 
 def sessions(sessions: int, cores: int, episode_s: float, lease_s: float, seconds: float, as_json: bool) -> None:
     """Executes `factory bench sessions`."""
-    plan = shrunk_plan(narrow(load_plan("demo"), ("office",), 2), {"record": "states"})
-    with tempfile.TemporaryDirectory(prefix="bench-") as name, Bars(refresh_per_second=1) as bar:
-        folder = Path(name)
+    plan = shrunk_plan(narrow(load_plan(SAMPLE_PLAN), ("office",), 2), {"record": "states"})
+    with progress_bar("sample", plan.episodes) as tell, temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
-        task = bar.add_task("bench sample", total=plan.episodes)
         with SceneRenderer() as stage:
-            samples = make_sample(folder / "sample", plan, catalog, stage, lambda: bar.advance(task))
+            samples = make_sample(folder / "sample", plan, catalog, stage, tell)
         with samples[0].path.open("rb") as file, BundleReader(file) as bundle:
             meta = bundle.meta
         load = SessionsLoad(sessions, cores, episode_s, lease_s, seconds)

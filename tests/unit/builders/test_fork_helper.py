@@ -45,7 +45,7 @@ def begin_with_threads() -> None:
     """Forks the children of a process that has a thread."""
     sys.stdin = os.fdopen(0, closefd=False)
     threading.Thread(target=threading.Event().wait, daemon=True).start()
-    fork_helper.fork_children_of_threads(("decimal",), {MODULE})
+    fork_helper.fork_children_from_interpreter(("decimal",), {MODULE})
 
 
 def start(*words: str, fds: tuple[int, ...] = (), **options: Any) -> subprocess.Popen[str]:
