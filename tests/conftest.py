@@ -10,8 +10,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from tests.acceptance.factory_cli import IMPORTED, FactoryCli, start_server
-from tests.builders.fork_helper import fork_children_from_interpreter
+from tests.acceptance.factory_cli import IMPORTED, IMPORTED_BY_TESTS, FactoryCli, start_server
+from tests.builders.fork_helper import fork_children_from_interpreter, freeze_objects
 from tests.builders.fork_server import ForkServer
 from tests.builders.layouts import Layouts
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
@@ -21,7 +21,7 @@ from tests.builders.shared import session_folder
 from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
-fork_children_from_interpreter(("factory.__main__", *IMPORTED))
+fork_children_from_interpreter(("factory.__main__", *IMPORTED, *IMPORTED_BY_TESTS))
 # no test depends on the speed of the machine
 hypothesis.settings.register_profile(
     "any-speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
@@ -52,8 +52,7 @@ def pytest_collection() -> None:
 
 def pytest_collection_finish() -> None:
     """Excludes the objects of the collection from later garbage collections, and collects less often."""
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 20)
+    freeze_objects()
     gc.enable()
 
 

@@ -59,6 +59,11 @@ IMPORTED = (
     "tests.builders.room_coordinator",
 )
 """Modules that the commands and their processes import, and the coordinator of kill tests."""
+IMPORTED_BY_TESTS = (
+    *("tests.builders.room_gateway", "tests.builders.small_simulation", "tests.builders.worker"),
+    *("tests.chaos.host_process", "tests.fuzz.child"),
+)
+"""Modules that tests start themselves."""
 _HANGS_S = 800.0
 """Time after which a command counts as hung, seconds; it is killed."""
 

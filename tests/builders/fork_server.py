@@ -6,7 +6,6 @@ Each child is a real process with its own session, output files, arguments, envi
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib
 import json
 import os
@@ -21,8 +20,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NoReturn
 
+from schemas.support.child import python_module
 from schemas.support.closing import Closing
-from tests.builders.fork_helper import end_after, fork_children
+from tests.builders.fork_helper import end_after, fork_children, freeze_objects
 
 _STARTS_WITHIN_S = 800.0
 """Time after which the server counts as hung, seconds: on a busy machine its imports alone take minutes."""
@@ -83,7 +83,7 @@ class ForkServer(Closing):
     def __init__(self, modules: Sequence[str], environment: Mapping[str, str], *, forks_children: bool = False) -> None:
         self._forks_children = forks_children
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.builders.fork_server", *modules],
+            python_module("tests.builders.fork_server", *modules),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**environment, "OPENBLAS_NUM_THREADS": "1"},
@@ -148,7 +148,7 @@ def main() -> None:
     """
     for module in sys.argv[1:]:
         importlib.import_module(module)
-    gc.freeze()
+    freeze_objects()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner, which closes stdin
     hear, wake = os.pipe()
     os.set_blocking(wake, False)

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from schemas.support.child import python_module
 from tests.builders import fake_simulation
 from workers.client.settings import WorkerSettings
 from workers.client.stopping import stop_on_signals
@@ -79,7 +80,7 @@ class WorkerThread:
 def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]]:
     """Starts a worker in a separate process, which is killed at the end of the block."""
     arguments = (settings.connect[0], str(settings.spool_dir.parent), str(settings.cores), *settings.command)
-    process = subprocess.Popen([sys.executable, "-m", "tests.builders.worker", *arguments])
+    process = subprocess.Popen(python_module("tests.builders.worker", *arguments))
     try:
         yield process
     finally:

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 
 from schemas.support.closing import Closing
+from tests.chaos.host_process import on_host
 
 
 def why_not() -> str:
@@ -46,9 +47,9 @@ class Hosts(Closing):
             self.close()
             raise
 
-    def inside(self, number: int) -> list[str]:
-        """Returns the prefix of a command line that runs on a host."""
-        return ["ip", "netns", "exec", self._space(number)]
+    def inside(self, number: int, module: str, *words: object) -> tuple[str, ...]:
+        """Returns the command line that runs `main` of a module on a host."""
+        return on_host(self._space(number), module, *words)
 
     def cut(self, number: int) -> None:
         """Disconnects a host: packets are dropped without a notification."""
@@ -63,7 +64,7 @@ class Hosts(Closing):
         if shutil.which("tc") is None:
             return "needs tc (Debian: iproute2)"
         shape = ["tbf", "rate", rate, "burst", "16kbit", "latency", latency]
-        for where in ([], self.inside(number)):
+        for where in ([], ["ip", "netns", "exec", self._space(number)]):
             device = self._cable(number) if not where else "eth0"
             done = subprocess.run(
                 [*where, "tc", "qdisc", "replace", "dev", device, "root", *shape], capture_output=True, text=True

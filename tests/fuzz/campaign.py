@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from schemas.support.child import python_module
 from tests.fuzz.child import LAST
 from tests.fuzz.targets import TARGETS
 
@@ -22,7 +23,7 @@ def fuzz(target: str, folder: Path, seed: int, seconds: float, count: int = sys.
         count: maximum number of inputs.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    words = [sys.executable, "-m", "tests.fuzz.child", target, str(seed), str(seconds), str(count), str(folder)]
+    words = python_module("tests.fuzz.child", target, str(seed), str(seconds), str(count), str(folder))
     root = Path(__file__).parents[2]
     done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=seconds + 120, cwd=root)
     sys.stdout.write(done.stdout)

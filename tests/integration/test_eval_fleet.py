@@ -21,13 +21,14 @@ from factory.eval.process.run import Pace
 from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.eval.specs.campaign import Campaign
 from schemas.errors import TransientError, UsageError, WorldError
+from schemas.support.child import python_module
 from tests.builders.evaluation import open_store, standing_still
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, settings_for
 
-COLLECT = (sys.executable, "-m", "tests.builders.small_simulation", "0.2")
-EVALUATE = (sys.executable, "-m", "factory.eval.remote.eval_worker")
+COLLECT = python_module("tests.builders.small_simulation", "0.2")
+EVALUATE = python_module("factory.eval.remote.eval_worker")
 
 
 @pytest.fixture(scope="module")

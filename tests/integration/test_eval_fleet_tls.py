@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -27,14 +26,15 @@ from schemas.errors import TransientError
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import BundleRange, Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
 from schemas.protocol.messages import Claim, ClaimReply, Done
+from schemas.support.child import python_module
 from tests.builders.evaluation import open_store, standing_still
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 from tests.builders.worker import WorkerThread, settings_for
 
-COLLECT = (sys.executable, "-m", "tests.builders.small_simulation", "0.2")
-EVALUATE = (sys.executable, "-m", "factory.eval.remote.eval_worker")
+COLLECT = python_module("tests.builders.small_simulation", "0.2")
+EVALUATE = python_module("factory.eval.remote.eval_worker")
 SETTINGS = CoordinatorSettings(
     reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=15.0, admission_s=0.2
 )

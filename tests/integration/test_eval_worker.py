@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalRequest, EvalTask, Setup
 from factory.eval.models.spec import EvalSettings
 from factory.eval.process.driver_process import DriverProcess
+from schemas.support.child import python_module
 from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.eval_results import spec_of
@@ -26,7 +26,7 @@ def reports_on(policy: str, tmp_path: Path) -> list[SimulationReport]:
         sid="host-1",
         eval_task=task.model_dump_json(),
     )
-    command = [sys.executable, "-m", "factory.eval.remote.eval_worker"]
+    command = python_module("factory.eval.remote.eval_worker")
     found: list[SimulationReport] = []
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,13 +27,14 @@ from schemas.protocol.address_file import (
 )
 from schemas.protocol.identity import Role
 from schemas.protocol.reachability import why_unreachable
+from schemas.support.child import python_module
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
 from tests.builders.wire_worker import until
 from tests.builders.worker import WorkerThread, settings_for
 
-SMALL = (sys.executable, "-m", "tests.builders.small_simulation", "0.0")
+SMALL = python_module("tests.builders.small_simulation", "0.0")
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import secrets
 import shutil
-import sys
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -27,6 +26,7 @@ from schemas.protocol.administration import AdminAction, AdminReply, AdminReques
 from schemas.protocol.identity import Role, TlsFiles
 from schemas.protocol.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
 from schemas.protocol.messages import Claim, ClaimReply, HelloReply
+from schemas.support.child import python_module
 from tests.builders.bundle import parts_for
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
@@ -104,7 +104,7 @@ def test_the_real_worker_finds_its_run_and_delivers_every_episode(hub, pki, tmp_
         tmp_path / "host",
         host="node",
         tls=files_of(pki, "node"),
-        command=(sys.executable, "-m", "tests.builders.small_simulation", "0.0"),
+        command=python_module("tests.builders.small_simulation", "0.0"),
     )
     with WorkerThread(settings) as worker:
         until(hub.is_finished)

@@ -25,6 +25,7 @@ from tests.builders.fresh_process import in_fresh_process
 from tests.builders.process_state import children_of, is_gone
 
 ROOT = Path(__file__).parents[3]
+FORKED_OF_THE_PRODUCT = {module for module in fork_helper.FORKED if not module.startswith("tests.")}
 
 
 @pytest.fixture(autouse=True)
@@ -179,17 +180,25 @@ def test_the_helper_ends_with_its_owner(tmp_path, begins):
     wait_for(lambda: is_gone(int((tmp_path / "pid").read_text())))
 
 
-def test_every_module_that_the_product_starts_is_forked():
-    started = {
+def started_modules(*packages: str) -> set[str]:
+    return {
         module
-        for package in ("coordinator", "factory", "workers")
+        for package in packages
         for path in (ROOT / package).rglob("*.py")
         for module in re.findall(r'python_module\(\s*"([^"]+)"', path.read_text())
     }
-    assert started == fork_helper.FORKED
 
 
-@pytest.mark.parametrize("module", sorted(fork_helper.FORKED - {"factory"} | {"factory.__main__"}))
+def test_every_module_that_the_product_starts_is_forked():
+    assert started_modules("coordinator", "factory", "workers") == FORKED_OF_THE_PRODUCT
+
+
+def test_every_module_of_the_tests_that_is_forked_is_started_by_a_test():
+    of_tests = {module for module in started_modules("tests") if module.startswith("tests.")}
+    assert of_tests == fork_helper.FORKED - FORKED_OF_THE_PRODUCT
+
+
+@pytest.mark.parametrize("module", sorted(FORKED_OF_THE_PRODUCT - {"factory"} | {"factory.__main__"}))
 def test_a_new_interpreter_imports_each_forked_module_first(module):
     """In forks all modules are imported already, which would hide an import that works in one order only."""
     command = [sys.executable, "-P", "-c", f"import {module}"]

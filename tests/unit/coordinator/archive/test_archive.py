@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ import pytest
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from schemas.job import index_of_file
+from tests.builders.script import script
 
 
 def publish(archive: Archive, index: int, data: bytes) -> Path:
@@ -76,7 +76,7 @@ def test_only_the_canonical_name_is_an_episode(name: str, index: int | None) -> 
 
 def test_a_full_disk_is_reported_and_leaves_no_partial_file(tmp_path: Path) -> None:
     """A file size limit replaces a full disk: both raise an OSError during a write."""
-    script = """
+    text = """
 import resource, signal, sys
 from pathlib import Path
 from coordinator.archive.contract import Archive
@@ -94,7 +94,7 @@ with open_archive(root) as archive:
     staged.abandon()
     print(len(list((root / ".staging").iterdir())), archive.present())
 """
-    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
+    done = subprocess.run(script(text, tmp_path), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     message, rest = done.stdout.splitlines()
     assert message.startswith(f"cannot write {tmp_path}/.staging: File too large")

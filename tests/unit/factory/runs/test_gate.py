@@ -11,11 +11,12 @@ import pytest
 
 from factory.runs.gate import GateRun, Trial, evaluate_gate, run_gate
 from schemas.errors import WorldError
+from schemas.support.child import python_module
 from schemas.terms import FailReason, Tier
 from tests.builders.bundle import job_for
 from tests.builders.ledger import room_catalog, room_plan
 
-QUICK = (sys.executable, "-m", "tests.builders.small_simulation", "0.01")
+QUICK = python_module("tests.builders.small_simulation", "0.01")
 """Succeeds or stalls immediately, depending on the number of the job."""
 NOISY_DEATH = (sys.executable, "-c", "raise SystemExit('no renderer')")
 DIES_AT_WORK = (
