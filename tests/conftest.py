@@ -11,7 +11,7 @@ import hypothesis
 import pytest
 
 from tests.acceptance.factory_cli import IMPORTED, IMPORTED_BY_TESTS, FactoryCli, start_server
-from tests.builders.fork_helper import fork_children_from_interpreter, freeze_objects
+from tests.builders.fork_helper import fork_children_from_interpreter
 from tests.builders.fork_server import ForkServer
 from tests.builders.layouts import Layouts
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
@@ -52,7 +52,8 @@ def pytest_collection() -> None:
 
 def pytest_collection_finish() -> None:
     """Excludes the objects of the collection from later garbage collections, and collects less often."""
-    freeze_objects()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
     gc.enable()
 
 

@@ -73,7 +73,10 @@ _CLONE_PARENT = 0x8000
 _FORK_EXEC = _posixsubprocess.fork_exec
 """The function that starts a process in `subprocess` and `multiprocessing`."""
 _COMM = Path("/proc/self/comm")
+_HUGE, _MADV_COLLAPSE = 2 << 20, 25
 _call_system = ctypes.PyDLL(None, use_errno=True).syscall
+_advise = ctypes.CDLL(None).madvise
+_advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
 
 
 @dataclass(frozen=True)
@@ -158,13 +161,21 @@ def fork_children_from_interpreter(imports: Sequence[str], modules: Set[str] = F
     _replace_start(_Forkable(modules), helper)
 
 
-def freeze_objects() -> None:
-    """Excludes the objects of this process from garbage collections in its forks, and makes them less frequent.
+def prepare_forks() -> None:
+    """Makes later forks of this process cheaper, once it has imported what they need.
 
-    With Python's thresholds, the collections take 3 % of the CPU time of the suite.
+    Garbage collections in the forks exclude its objects and are less frequent: with Python's thresholds they take 3 %
+    of the CPU time of the suite. Its memory is moved to huge pages if the kernel can do so, because a fork copies the
+    page tables.
     """
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        span, rights, _, _, inode, *_ = line.split()
+        begin, end = (int(address, 16) for address in span.split("-"))
+        if inode == "0" and rights == "rw-p":
+            for start in range(-(-begin // _HUGE) * _HUGE, end - _HUGE + 1, _HUGE):
+                _advise(start, _HUGE, _MADV_COLLAPSE)  # fails for a span without pages and on kernels before 6.1
 
 
 def end_after(program: Callable[[], object]) -> NoReturn:
@@ -338,6 +349,6 @@ def _keep_only(fds: Mapping[int, int]) -> None:
 if __name__ == "__main__":
     for each in sys.argv[2:]:
         importlib.import_module(each)
-    freeze_objects()
+    prepare_forks()
     _COMM.write_text(NAME)
     _serve(socket.socket(fileno=int(sys.argv[1])))

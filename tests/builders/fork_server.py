@@ -22,7 +22,7 @@ from typing import NoReturn
 
 from schemas.support.child import python_module
 from schemas.support.closing import Closing
-from tests.builders.fork_helper import end_after, fork_children, freeze_objects
+from tests.builders.fork_helper import end_after, fork_children, prepare_forks
 
 _STARTS_WITHIN_S = 800.0
 """Time after which the server counts as hung, seconds: on a busy machine its imports alone take minutes."""
@@ -148,7 +148,7 @@ def main() -> None:
     """
     for module in sys.argv[1:]:
         importlib.import_module(module)
-    freeze_objects()
+    prepare_forks()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner, which closes stdin
     hear, wake = os.pipe()
     os.set_blocking(wake, False)

@@ -29,7 +29,7 @@ from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
 SETTINGS = CoordinatorSettings(
-    reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=4.0, transport_lease_s=2.0
+    reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=60.0, transport_lease_s=2.0
 )
 EPISODES = 3
 
@@ -46,14 +46,14 @@ class Site:
     def url(self) -> str:
         return f"sqlite:///{self.folder / 'out' / 'ledger.db'}"
 
-    def open_core(self) -> Coordinator:
+    def open_core(self, settings: CoordinatorSettings = SETTINGS) -> Coordinator:
         plan, catalog = room_plan(EPISODES), room_catalog(self.folder)
         self.core = self._stack.enter_context(
             Coordinator(
                 self.folder / "out",
                 plan,
                 catalog,
-                CoordinatorOptions(listen=(self.endpoint,), settings=SETTINGS, checker=self.checker),
+                CoordinatorOptions(listen=(self.endpoint,), settings=settings, checker=self.checker),
             )
         )
         return self.core
@@ -207,6 +207,9 @@ def test_a_restarted_gateway_reports_its_files_and_releases_missing_ones(site):
 
 @pytest.mark.parametrize("lease", ["in force", "lost"])
 def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_open(site, lease):
+    if lease == "lost":
+        site.core.close()
+        site.open_core(SETTINGS.model_copy(update={"lease_ttl_s": 4.0}))
     site.open_gateway("gw1").close()
     worker = site.open_worker((site.endpoint,))
     worker.is_frozen = True  # the coordinator, which pulls here, gets no bundle

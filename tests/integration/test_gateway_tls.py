@@ -31,7 +31,7 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 SETTINGS = CoordinatorSettings(
-    reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0, admission_s=0.2
+    reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=60.0, admission_s=0.2
 )
 ANY_PORT = ("tls/127.0.0.1:0",)
 VERSION = version("minivla-factory")

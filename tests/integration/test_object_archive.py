@@ -211,7 +211,7 @@ def test_an_object_is_read_like_a_file(store: ObjectPath) -> None:
 
 
 def test_a_run_resumes_after_an_outage_of_its_store(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
-    settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0)
+    settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=60.0)
     plan, catalog = room_plan(2), room_catalog(tmp_path)
     with (
         Coordinator(

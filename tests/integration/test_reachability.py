@@ -43,7 +43,7 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def opened(folder: Path, **options: object) -> Coordinator:
-    settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, lease_ttl_s=5.0)
+    settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, lease_ttl_s=60.0)
     return Coordinator(
         folder / "out", room_plan(2), room_catalog(folder), CoordinatorOptions(settings=settings, **options)
     )

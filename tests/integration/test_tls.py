@@ -48,9 +48,9 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_authority(tmp_path_factory.mktemp("foreign") / "pki", ("node",), ("admin",))
 
 
-def opened_at(folder: Path, pki: Path, endpoint: str = ANY_PORT[0]) -> Coordinator:
+def opened_at(folder: Path, pki: Path, endpoint: str = ANY_PORT[0], lease_ttl_s: float = 60.0) -> Coordinator:
     settings = CoordinatorSettings(
-        reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0, admission_s=0.2
+        reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=lease_ttl_s, admission_s=0.2
     )
     guard = Guard(pki / "hub")
     return Coordinator(
@@ -281,7 +281,7 @@ def test_the_job_of_a_revoked_host_is_reassigned_and_its_bundle_is_refused(pki, 
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with (
-        opened_at(tmp_path, mine) as hub,
+        opened_at(tmp_path, mine, lease_ttl_s=5.0) as hub,
         WireWorker(hub.endpoints, hub.run, "node", files_of(mine, "node")) as bad,
         WireWorker(hub.endpoints, hub.run, "other", files_of(mine, "other")) as good,
     ):
@@ -296,6 +296,7 @@ def test_the_job_of_a_revoked_host_is_reassigned_and_its_bundle_is_refused(pki, 
             given, under = good.job()
             assert good.deliver(under, bundle_for(given))
             done.add(given.index)
+            until(lambda: hub.progress().jobs.get("archived") == len(done))  # no lease expires while a bundle waits
         until(hub.is_finished)
         assert job.index in done
         assert hub.progress().jobs["archived"] == 2
