@@ -100,17 +100,16 @@ class ArchivedRun:
     def archive_episode(self, archive: Archive, index: int) -> None:
         """Claims, announces and archives an episode."""
         lease = self.lease_of(index)
-        data = self.bundle(index)
-        digest = hashlib.sha256(data).hexdigest()
         row = self.timed_ledger.rows(index)[-1]
-        parts = parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt))
+        data, sealed = parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt)).write_sealed()
+        digest = hashlib.sha256(data).hexdigest()
         with archive.stage(index) as staged:
             staged.write(data)
             archive.publish(staged, index)
         done = Done(sid="host-1", lease=lease, sha256=digest, size=len(data))
         with self.timed_ledger.open() as connection:
             outcomes.announce(connection, done, self.timed_ledger.now, TTL_S)
-            summary = summary_of(parts.sealed(), digest, len(data))
+            summary = summary_of(sealed, digest, len(data))
             assert outcomes.archive(connection, lease, summary, self.timed_ledger.now)
 
     def _write_tables(self, archive: Archive) -> None:

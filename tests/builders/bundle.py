@@ -116,13 +116,14 @@ class BundleParts:
 
     def write(self) -> bytes:
         """Returns the bundle."""
-        return self._write()[0]
+        return self.write_sealed()[0]
 
     def sealed(self) -> EpisodeMeta:
         """Returns the metadata as written, digests included."""
-        return self._write()[1]
+        return self.write_sealed()[1]
 
-    def _write(self) -> tuple[bytes, EpisodeMeta]:
+    def write_sealed(self) -> tuple[bytes, EpisodeMeta]:
+        """Returns the bundle and the metadata as written."""
         file = io.BytesIO()
         writer = BundleWriter(file)
         if self.meta.job.record is Recording.STATES:
@@ -182,8 +183,12 @@ def _drive(steps: int, job: Job) -> EpisodeArrays:
     return EpisodeArrays(actions, tokens_of(actions), poses)
 
 
+@functools.lru_cache(maxsize=24)
 def _frame(x_m: float, step: int) -> Frame:
-    """A wall 3 m ahead above a floor, with the target in front of it; the distance decreases as the robot drives."""
+    """A wall 3 m ahead above a floor, with the target in front of it; the distance decreases as the robot drives.
+
+    The images are read-only, because episodes share them.
+    """
     side = FRAME_SIZE_PX
     rgb = np.full((side, side, 3), 90, np.uint8)
     rgb[:, :, 1] = (np.arange(side)[:, None] + step) % 256
@@ -192,6 +197,8 @@ def _frame(x_m: float, step: int) -> Frame:
     ids[side // 2 :] = FLOOR_ID
     ids[280:360, 290:350] = TARGET_ID
     ids[:20], depth[:20] = 0, 0.0
+    for image in (rgb, depth, ids):
+        image.flags.writeable = False
     return rgb, depth, ids
 
 

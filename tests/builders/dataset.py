@@ -106,11 +106,11 @@ def episode_of(
 
 def archive_episode(archive: Archive, parts: BundleParts) -> EpisodeSummary:
     """Publishes an episode without validating it and returns its row."""
-    data, index = parts.write(), parts.meta.job.index
+    (data, sealed), index = parts.write_sealed(), parts.meta.job.index
     with archive.stage(index) as staged:
         staged.write(data)
         archive.publish(staged, index)
-    return summary_of(parts.sealed(), hashlib.sha256(data).hexdigest(), len(data))
+    return summary_of(sealed, hashlib.sha256(data).hexdigest(), len(data))
 
 
 def failure(index: int, attempt: int = 1) -> FailedAttempt:
