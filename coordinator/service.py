@@ -45,6 +45,8 @@ _ADMIN_S = 30.0
 """Timeout of an admin request of this process, seconds."""
 _RECHECK_S = 1.0
 """Pause between two searches for unchecked episodes of barred hosts, seconds."""
+_FIRST_TABLES_S = 1.0
+"""Pause between two checks whether a new run has its first episode and therefore gets its first tables, seconds."""
 _DISCONNECT_S = 3.0
 """Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""
 
@@ -86,7 +88,10 @@ class Coordinator(Closing):
             self._router = stack.enter_context(_open_router(run, options, handler))
             stack.enter_context(PeriodicTasks(housekeeping.table(self._router.admit)))
             # a separate thread: writing the tables of a large run takes seconds, and leases expire meanwhile
-            tables = {"write_tables": (options.settings.checkpoint_s, self._tables.write)}
+            tables = {
+                "write_tables": (options.settings.checkpoint_s, self._tables.write),
+                "write_first_tables": (_FIRST_TABLES_S, self._tables.write_first),
+            }
             stack.enter_context(PeriodicTasks(tables))
             rechecks = Rechecks(run, self._tables.note_change)
             stack.enter_context(PeriodicTasks({"recheck": (_RECHECK_S, rechecks.check_some)}))

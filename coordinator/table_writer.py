@@ -15,6 +15,7 @@ from coordinator.tables.checkpoint import Checkpoints
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset.meta import GateOutcome
 from schemas.errors import WorldError
+from schemas.storage.dataset_files import META_FILE
 
 _THUMBNAILS_S = 2.0
 """Time limit of thumbnails when an unfinished run stops, seconds."""
@@ -36,13 +37,21 @@ class TableWriter:
         self._checkpoints = (
             Checkpoints(run.archive, terms.plan, terms.catalog, gate) if terms.evaluation is None else None
         )
+        self._are_readable = (run.archive.root / META_FILE).is_file()
+        self._is_first_due = False
         self._changed = threading.Event()
         if run.are_tables_owed:
             self._changed.set()
 
     def note_change(self) -> None:
-        """Records a change, so that the next `write` writes the tables."""
+        """Records an archived or lost episode, so that the next `write` writes the tables."""
         self._changed.set()
+        self._is_first_due = not self._are_readable
+
+    def write_first(self) -> None:
+        """Writes the tables of a new run once it has an episode, so that it can be read and viewed from then on."""
+        if self._is_first_due:
+            self.write()
 
     def write(self) -> None:
         """Packs settled episodes and writes the tables if a change was recorded since the last write."""
@@ -56,6 +65,7 @@ class TableWriter:
                 pack_settled(run.archive, connection, run.terms.plan, is_over, run.settings.shard_episodes)
                 # the last write uses the ledger only, as the first one does, because the files may have changed
                 self._checkpoints.write(connection, run.clock(), rewrite=is_over)
+            self._are_readable, self._is_first_due = True, False
         except Exception:
             self._changed.set()  # the tables still have to be written
             raise

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.archive.staging import is_held
-from coordinator.defaults import CHECKPOINT_S
 from coordinator.ledger.builds import unbuilt_layouts
 from coordinator.ledger.database.engine import sqlite_files
 from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info
@@ -163,8 +162,8 @@ class Workspace:
             if (run := self._run_without_tables()) is None:
                 raise
             raise WorldError(
-                f"run {run} has no tables of episodes yet: its coordinator writes them within {CHECKPOINT_S:g} s after "
-                "the first archived episode; load this page again then"
+                f"run {run} has no tables of episodes yet: its coordinator writes them soon after the first archived "
+                "episode; load this page again then"
             ) from error
 
     def _run_without_tables(self) -> str | None:
