@@ -11,7 +11,7 @@ from coordinator.context import RunContext
 from coordinator.ledger import claims
 from coordinator.ledger.run_ledger import RESTART_REMEDY
 from coordinator.packing import pack_settled
-from coordinator.tables.checkpoint import Checkpoints
+from coordinator.tables.checkpoint import Checkpoints, has_changes, last_event
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset.meta import GateOutcome
 from schemas.errors import WorldError
@@ -37,6 +37,8 @@ class TableWriter:
         self._checkpoints = (
             Checkpoints(run.archive, terms.plan, terms.catalog, gate) if terms.evaluation is None else None
         )
+        with run.ledger.reading() as connection:
+            self._up_to = last_event(connection)
         self._are_readable = (run.archive.root / META_FILE).is_file()
         self._is_first_due = False
         self._changed = threading.Event()
@@ -54,21 +56,32 @@ class TableWriter:
             self.write()
 
     def write(self) -> None:
-        """Packs settled episodes and writes the tables if a change was recorded since the last write."""
+        """Packs settled episodes and writes the tables if an episode or attempt was recorded since the last write."""
         run = self._run
-        if not self._changed.is_set() or self._checkpoints is None:
+        if self._checkpoints is None or not self._are_outdated():
             return
         self._changed.clear()
         try:
             with run.ledger.reading() as connection:
+                up_to = last_event(connection)
                 is_over = not claims.has_open_jobs(connection)
                 pack_settled(run.archive, connection, run.terms.plan, is_over, run.settings.shard_episodes)
                 # the last write uses the ledger only, as the first one does, because the files may have changed
                 self._checkpoints.write(connection, run.clock(), rewrite=is_over)
-            self._are_readable, self._is_first_due = True, False
+            self._up_to, self._are_readable, self._is_first_due = up_to, True, False
         except Exception:
             self._changed.set()  # the tables still have to be written
             raise
+
+    def _are_outdated(self) -> bool:
+        """Returns whether the tables lack a change; a failed attempt is not noted, only recorded in the ledger."""
+        if self._changed.is_set():
+            return True
+        try:
+            with self._run.ledger.reading() as connection:
+                return has_changes(connection, self._up_to)
+        except WorldError:  # a lost ledger stops the run, which reports it
+            return False
 
     def write_splits(self) -> None:
         """Writes the split tables; called once, at the end, because it reads a frame of each new episode.

@@ -111,6 +111,12 @@ def last_event(connection: Connection) -> int:
     return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
 
 
+def has_changes(connection: Connection, since: int) -> bool:
+    """Returns whether an event after the given one changed an episode or an attempt, not only a lease."""
+    later = select(events.c.id).where(events.c.id > since, events.c.event.not_in(_OF_LEASES)).limit(1)
+    return connection.execute(later).first() is not None
+
+
 def _changes(connection: Connection, since: int) -> TableChanges:
     """Returns the episodes whose rows have changed after an event; the ledger adds an event to each change."""
     query = (

@@ -10,6 +10,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
 from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import WorldError
+from schemas.terms import FailReason
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
@@ -38,6 +39,10 @@ def number_in_tables(folder: Path) -> int:
         return 0
 
 
+def failures_in_tables(folder: Path) -> int:
+    return read_dataset_meta(folder / "out").failed_attempts
+
+
 def test_the_first_tables_follow_the_first_episode_and_later_ones_the_interval(tmp_path, checker):
     with opened(tmp_path, checker) as coordinator:
         assert number_in_tables(tmp_path) == 0
@@ -48,6 +53,18 @@ def test_the_first_tables_follow_the_first_episode_and_later_ones_the_interval(t
         coordinator._tables.write_first()
         assert number_in_tables(tmp_path) == 1
     assert number_in_tables(tmp_path) == 2  # at the end
+
+
+def test_failed_attempts_after_the_last_episode_are_in_the_tables(tmp_path, checker):
+    with opened(tmp_path, checker) as coordinator:
+        deliver_one(coordinator)
+        until(lambda: number_in_tables(tmp_path) == 1)
+        with WireWorker(coordinator.endpoints, coordinator.run) as worker:
+            assert worker.fail(worker.job()[1], FailReason.TIMEOUT)
+    assert failures_in_tables(tmp_path) == 1
+    with opened(tmp_path, checker) as coordinator, WireWorker(coordinator.endpoints, coordinator.run) as worker:
+        assert worker.fail(worker.job()[1], FailReason.TIMEOUT)
+    assert failures_in_tables(tmp_path) == 2
 
 
 def test_a_resumed_run_keeps_its_tables_until_the_interval_has_passed(tmp_path, checker):

@@ -11,7 +11,7 @@ import pytest
 
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
-from schemas.config import TaskConfig
+from schemas.config import RobotConfig, TaskConfig
 from schemas.instruction.language import instruction
 from schemas.job import Job
 from schemas.scene import encode_scene
@@ -26,6 +26,8 @@ pytestmark = pytest.mark.gl
 PACKAGE = encode_scene(box_room())
 SHA256 = hashlib.sha256(PACKAGE).hexdigest()
 TARGET = box_room().info.targets[0]
+SLOW_ROBOT = RobotConfig(physics_substeps=16, max_braking_mps2=4.0)
+"""Robot in the usual physics steps at 15 control steps per second."""
 
 
 class Renderings:
@@ -59,9 +61,10 @@ def job_in_room(record: Recording, index: int, expert: ExpertName) -> Job:
         "category": TARGET.category,
         "target_id": TARGET.target_id,
         "instruction": instruction("train_01", TARGET.category, "red"),
-        "task": TaskConfig(),
     }
-    return job_for(index, record=record, expert=expert, **values)
+    # fewer frames per drive, but one drive at the rate of the paper
+    rate = {"task": TaskConfig()} if index == 1 else {"task": TaskConfig(control_hz=15), "robot": SLOW_ROBOT}
+    return job_for(index, record=record, expert=expert, **values, **rate)
 
 
 def recorded(stage: SceneRenderer, job: Job) -> BundleReader:
