@@ -11,7 +11,7 @@ import pytest
 from coordinator.validation.language import said_findings
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
-from schemas.config import SpawnConfig, TaskConfig
+from schemas.config import RobotConfig, SpawnConfig, TaskConfig
 from schemas.instruction.language import FROM_START, instruction
 from schemas.instruction.start_view import StartView, TargetChoice
 from schemas.job import Job
@@ -47,7 +47,8 @@ def _job(attempt: int, share: float) -> Job:
         instruction=instruction(FROM_START, "crate", "unknown"),
         target_id=target.target_id,
         expert=ExpertName.PLANNER,
-        task=TaskConfig(success_radius_m=1.2, hold_steps=2, success=SuccessMeasure.SURFACE),
+        task=TaskConfig(control_hz=15, success_radius_m=1.2, hold_steps=2, success=SuccessMeasure.SURFACE),
+        robot=RobotConfig(physics_substeps=16, max_braking_mps2=4.0),
         spawn=SpawnConfig(heading_noise_rad=0.75),
         language=LanguageSpec(in_view=1, exchangeable=True),
         start_view=StartView(

@@ -13,7 +13,7 @@ import pytest
 from coordinator.validation.start import start_findings
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
-from schemas.config import CameraConfig, TaskConfig
+from schemas.config import CameraConfig, RobotConfig, TaskConfig
 from schemas.instruction.referents import ids_in_view, referents_of
 from schemas.instruction.start_view import StartView, start_view_findings
 from schemas.job import Job
@@ -43,7 +43,8 @@ def _job(attempt: int, view: StartView | None, tier: Tier = Tier.NEAR) -> Job:
         instruction="Go to the crate.",
         target_id=TARGET.target_id,
         expert=ExpertName.PLANNER,
-        task=TaskConfig(success_radius_m=1.4, hold_steps=2),
+        task=TaskConfig(control_hz=15, success_radius_m=1.4, hold_steps=2),
+        robot=RobotConfig(physics_substeps=16, max_braking_mps2=4.0),
         start_view=view,
     )
 
