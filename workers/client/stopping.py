@@ -34,6 +34,24 @@ def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
             signal.signal(number, handler)
 
 
+@contextmanager
+def signals_deferred() -> Iterator[None]:
+    """Delays SIGTERM and Ctrl-C until the end of the block, so that the caller knows a process that it starts there.
+
+    Only for the main thread.
+    """
+    arrived: list[int] = []
+    signals = (signal.SIGTERM, signal.SIGINT)
+    former = {number: signal.signal(number, lambda got, _frame: arrived.append(got)) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+        for each in arrived:
+            signal.raise_signal(each)
+
+
 def stop_at_eof(descriptor: int, stop: threading.Event) -> None:
     """Sets `stop` when the other end of the pipe `descriptor` is closed, also by the death of its process."""
 

@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from factory.bench.machine import describe_machine
+from factory.bench.measured_process import measured_process
 from factory.bench.model import Machine, Spread
 from factory.dataset.reader import Dataset
 from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.storage.place import Place
-from schemas.support.child import child_environment, python_module
+from schemas.support.child import python_module
 from schemas.terms import Recording
 
 _SEED = 24
@@ -118,15 +119,12 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
 def _server(root: Place) -> Iterator[tuple[str, int]]:
     """Yields address and process id of a server."""
     command = python_module("factory", "serve", str(root), "--http", "127.0.0.1:0")
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=child_environment(os.environ)) as process:
+    with measured_process(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
-        try:
-            if "http://" not in line:
-                raise WorldError(f"`factory serve {root}` did not start; see its message above")
-            yield line.partition("http://")[2].partition("/")[0], process.pid
-        finally:
-            process.terminate()
+        if "http://" not in line:
+            raise WorldError(f"`factory serve {root}` did not start; see its message above")
+        yield line.partition("http://")[2].partition("/")[0], process.pid
 
 
 def _cost(host: str, pid: int, paths: Sequence[str]) -> RequestCost:

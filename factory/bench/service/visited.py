@@ -6,7 +6,6 @@ run; the visitors take CPU time of the same machine, which reduces the rate of e
 
 from __future__ import annotations
 
-import os
 import subprocess
 import tempfile
 import time
@@ -16,6 +15,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from factory.bench.machine import describe_machine
+from factory.bench.measured_process import measured_process
 from factory.bench.model import Machine, Spread
 from factory.bench.reading.serve import ask_page, cpu_s_of, open_tab
 from factory.bench.service.attack import flood, slow_clients
@@ -25,7 +25,7 @@ from factory.runs.ledger import progress_in, read_ledger
 from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.storage.dataset_files import META_FILE
-from schemas.support.child import child_environment, python_module
+from schemas.support.child import python_module
 
 _EPISODES = 20_000
 """Number of planned episodes, so that the run does not end."""
@@ -113,22 +113,14 @@ def _run(plan: str, workers: int) -> Iterator[tuple[str, int, Site]]:
         out, log = Path(folder) / "out", Path(folder) / "log"
         words = (plan, "--episodes", _EPISODES, "--record", "states", "--gate", "skip", "--workers", workers)
         command = python_module("factory", "run", *map(str, words), "--out", str(out), "--http", "127.0.0.1:0")
-        with (
-            log.open("wb") as errors,
-            subprocess.Popen(
-                command, stdout=subprocess.DEVNULL, stderr=errors, env=child_environment(os.environ)
-            ) as process,
-        ):
-            try:
-                while "http://" not in log.read_text(errors="replace"):
-                    if process.poll() is not None:
-                        text = log.read_text(errors="replace")
-                        raise WorldError(f"`factory run {plan}` did not start:\n{text[-2000:]}")
-                    time.sleep(_POLL_S)
-                host = log.read_text(errors="replace").partition("http://")[2].partition("/")[0]
-                yield host, process.pid, site_of(str(out))
-            finally:
-                process.terminate()
+        with log.open("wb") as errors, measured_process(command, stdout=subprocess.DEVNULL, stderr=errors) as process:
+            while "http://" not in log.read_text(errors="replace"):
+                if process.poll() is not None:
+                    text = log.read_text(errors="replace")
+                    raise WorldError(f"`factory run {plan}` did not start:\n{text[-2000:]}")
+                time.sleep(_POLL_S)
+            host = log.read_text(errors="replace").partition("http://")[2].partition("/")[0]
+            yield host, process.pid, site_of(str(out))
 
 
 def _measure(pid: int, site: Site, visit: Callable[[], None]) -> tuple[float, float, float]:
