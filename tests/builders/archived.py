@@ -19,7 +19,7 @@ from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset.rows import summary_of
 from schemas.protocol.messages import Done
 from schemas.terms import FailReason, Recording
-from tests.builders.bundle import parts_for
+from tests.builders.bundle import BundleParts, parts_for
 from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan
 
 
@@ -69,8 +69,7 @@ class ArchivedRun:
 
     def bundle(self, index: int) -> bytes:
         """Returns the bundle of the current attempt of an episode."""
-        row = self.timed_ledger.rows(index)[-1]
-        return parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt)).write()
+        return self._parts(index).write()
 
     def repair_input(self, scenes: Sequence[str] = ()) -> RepairInput:
         """Returns the input of a repair of this directory."""
@@ -100,8 +99,7 @@ class ArchivedRun:
     def archive_episode(self, archive: Archive, index: int) -> None:
         """Claims, announces and archives an episode."""
         lease = self.lease_of(index)
-        row = self.timed_ledger.rows(index)[-1]
-        data, sealed = parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt)).write_sealed()
+        data, sealed = self._parts(index).write_sealed()
         digest = hashlib.sha256(data).hexdigest()
         with archive.stage(index) as staged:
             staged.write(data)
@@ -111,6 +109,10 @@ class ArchivedRun:
             outcomes.announce(connection, done, self.timed_ledger.now, TTL_S)
             summary = summary_of(sealed, digest, len(data))
             assert outcomes.archive(connection, lease, summary, self.timed_ledger.now)
+
+    def _parts(self, index: int) -> BundleParts:
+        row = self.timed_ledger.rows(index)[-1]
+        return parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt))
 
     def _write_tables(self, archive: Archive) -> None:
         with self.timed_ledger.engine.connect() as connection:
