@@ -60,9 +60,11 @@ _STARTS_NO_PYTHON = frozenset(
     {VALIDATOR, "tests.builders.fork_server", "tests.builders.small_simulation", "workers.render.process_child"}
 )
 _SPAWNED = re.compile(r"from multiprocessing\.spawn import spawn_main; spawn_main\((\w+)=(\d+), (\w+)=(\d+)\)")
-_AT_START = ("LD_", "PYTHON")
-"""Beginnings of the names of variables that loader and interpreter read at their start."""
-NEW_INTERPRETER = "PYTHON_NEW_INTERPRETER"
+_AT_START = re.compile(r"LD_|PYTHON[A-Z]")
+"""Beginning of the names of variables that loader and interpreter read at their start; `PYTHON` is one of `make`."""
+_CHANGES_NO_PROGRAM = frozenset({SAFE_PATH, "PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"})
+"""Those that do not prevent a fork: the validator has none of them, while `make`, CI and images set some of them."""
+NEW_INTERPRETER = "PYTHONNEWINTERPRETER"
 """Variable of this name that a test sets: its processes are new interpreters."""
 _VALIDATION_BYTES = 512 << 20
 """Address space that a validator needs in addition to that of the helper, bytes."""
@@ -211,7 +213,9 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
 
     A directory that is missing, such as the one that OpenCV adds, or that is imported from anyway, changes nothing.
     """
-    found = {name: value for name, value in environment.items() if name.startswith(_AT_START) and name != SAFE_PATH}
+    found = {
+        name: value for name, value in environment.items() if _AT_START.match(name) and name not in _CHANGES_NO_PROGRAM
+    }
     for name in ("PYTHONPATH", "LD_LIBRARY_PATH"):
         entries = found.pop(name, "").split(os.pathsep)
         if added := [entry for entry in entries if entry not in {"", *sys.path} and Path(entry).exists()]:

@@ -86,7 +86,17 @@ def expect_a_module(begins: Callable[[], None], folder: Path, variables: dict[st
 
 
 @pytest.mark.parametrize("begins", [begin, begin_with_threads])
-@pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": str(ROOT)}, {"PYTHONSAFEPATH": "1"}])
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {},
+        {"PYTHONPATH": str(ROOT)},
+        {"PYTHONSAFEPATH": "1"},
+        {"PYTHONDONTWRITEBYTECODE": "yes"},
+        {"PYTHONUNBUFFERED": "yes"},
+        {"PYTHON": sys.executable},
+    ],
+)
 def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(tmp_path, begins, variables):
     in_fresh_process(expect_a_module, begins, tmp_path, variables, True)
 
