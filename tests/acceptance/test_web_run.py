@@ -29,8 +29,8 @@ def printed_url(run: Started) -> str:
     return found[0]
 
 
-def test_the_benchmark_of_visitors_reports_the_cost_of_each_kind(factory: FactoryCli):
-    words = ("demo", "--workers", 1, "--seconds", 5, "--rounds", 1, "--viewers", 2, "--requests", 100)
+def test_the_benchmark_of_visitors_reports_the_cost_of_each_kind(factory: FactoryCli, plan: Path):
+    words = (plan, "--workers", 1, "--seconds", 2, "--rounds", 1, "--viewers", 2, "--requests", 100)
     costs = factory.json("bench", "visited", *words)["costs"]
     assert list(costs) == ["none", "viewers", "attackers"]
     for cost in costs.values():

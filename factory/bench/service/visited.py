@@ -6,6 +6,7 @@ run; the visitors take CPU time of the same machine, which reduces the rate of e
 
 from __future__ import annotations
 
+import math
 import subprocess
 import tempfile
 import time
@@ -27,8 +28,8 @@ from schemas.errors import WorldError
 from schemas.storage.dataset_files import META_FILE
 from schemas.support.child import python_module
 
-_EPISODES = 20_000
-"""Number of planned episodes, so that the run does not end."""
+_EPISODES_PER_S = 20
+"""Number of planned episodes per second of a worker, more than one completes, so that the run does not end."""
 _SLOW_CLIENTS = 100
 _VISIT_S = 10.0
 """Pause between two pages of a viewer, seconds."""
@@ -81,7 +82,8 @@ def bench_visited(plan: str, workers: int, seconds: float, rounds: int, viewers:
     }
     machine = describe_machine()
     found: dict[str, list[tuple[float, float, float]]] = {kind: [] for kind in kinds}
-    with _run(plan, workers) as (host, pid, site):
+    episodes = math.ceil(len(kinds) * rounds * seconds * workers * _EPISODES_PER_S)
+    with _run(plan, episodes, workers) as (host, pid, site):
         while not (site.state_dir / META_FILE).is_file():  # written with the first tables; scenes and workers are ready
             time.sleep(_POLL_S)
         for _ in range(rounds):
@@ -107,11 +109,11 @@ def bench_visited(plan: str, workers: int, seconds: float, rounds: int, viewers:
 
 
 @contextmanager
-def _run(plan: str, workers: int) -> Iterator[tuple[str, int, Site]]:
+def _run(plan: str, episodes: int, workers: int) -> Iterator[tuple[str, int, Site]]:
     """Yields the address of the page, the process id and the location of a run."""
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         out, log = Path(folder) / "out", Path(folder) / "log"
-        words = (plan, "--episodes", _EPISODES, "--record", "states", "--gate", "skip", "--workers", workers)
+        words = (plan, "--episodes", episodes, "--record", "states", "--gate", "skip", "--workers", workers)
         command = python_module("factory", "run", *map(str, words), "--out", str(out), "--http", "127.0.0.1:0")
         with log.open("wb") as errors, measured_process(command, stdout=subprocess.DEVNULL, stderr=errors) as process:
             while "http://" not in log.read_text(errors="replace"):
