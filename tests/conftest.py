@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import itertools
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
 fork_children_from_interpreter(("factory.__main__", *IMPORTED, *IMPORTED_BY_TESTS))
+atexit.register(gc.freeze)  # the collections at the exit of the interpreter would take seconds
 # no test depends on the speed of the machine
 hypothesis.settings.register_profile(
     "any-speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
