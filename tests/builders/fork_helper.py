@@ -270,7 +270,7 @@ def _parse(variables: Sequence[bytes]) -> dict[str, str]:
 def _serve(orders: socket.socket) -> NoReturn:
     """Forks what the owner orders until the owner has ended."""
     group = os.getpgrp()
-    os.setpgid(0, 0)  # a signal to the owner's group is for the others
+    os.setpgid(0, 0)  # signals to the owner's group do not reach this process
     _keep_only({orders.fileno(): orders.fileno()})
     orders.send(str(int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")).encode())
     while True:

@@ -262,7 +262,7 @@ def former_option(old: str, name: str, new: str, **like: Any) -> Callable[[Comma
             is_eager=True,
             expose_value=False,
             callback=set_it,
-            help=f"Former spelling of {new}.",
+            help=f"Deprecated alias of {new}.",
             **like,
         )
         return cast("Command", option(checked))

@@ -103,7 +103,7 @@ def command() -> None:
     metavar="DEVICE",
     help="PyTorch device: cpu, cuda, cuda:1, ...; auto: cuda if available, else cpu.",
 )
-@click.option("--resume", is_flag=True, hidden=True, expose_value=False, help="Former option without effect.")
+@click.option("--resume", is_flag=True, hidden=True, expose_value=False, help="Deprecated; has no effect.")
 @json_option
 def bc(**options: Any) -> int:
     """Train a policy by behaviour cloning.

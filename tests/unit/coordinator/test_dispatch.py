@@ -56,7 +56,7 @@ def test_the_number_of_gateways_is_bounded_and_an_honest_one_is_served() -> None
             timed_dispatch.take("honest", "ffffff")
     timed_dispatch.offer(1, "ffffff")
     assert timed_dispatch.take("honest", "ffffff") == [1]
-    timed_dispatch.offer(2, "0")  # of the first of them
+    timed_dispatch.offer(2, "0")  # the first hostile gateway
     assert timed_dispatch.here == [2]
 
 

@@ -16,48 +16,48 @@ SharedStatus(int(sys.argv[1])).write(DriverStatus(Activity.ASKING, 12.5, 7, 3.0,
 
 
 def test_a_process_reads_the_state_that_another_process_wrote() -> None:
-    sheet = SharedStatus.fresh()
+    status = SharedStatus.fresh()
     try:
-        assert sheet.read().busy is Activity.STARTING
-        command = [sys.executable, "-c", WRITER, str(sheet.descriptor)]
-        subprocess.run(command, pass_fds=(sheet.descriptor,), check=True)
-        assert sheet.read() == DriverStatus(Activity.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4)
+        assert status.read().busy is Activity.STARTING
+        command = [sys.executable, "-c", WRITER, str(status.descriptor)]
+        subprocess.run(command, pass_fds=(status.descriptor,), check=True)
+        assert status.read() == DriverStatus(Activity.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4)
     finally:
-        sheet.close()
+        status.close()
 
 
 BUSY_WRITER = """
 import sys, time
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
-sheet, end = SharedStatus(int(sys.argv[1])), time.monotonic() + 2
+status, end = SharedStatus(int(sys.argv[1])), time.monotonic() + 2
 while time.monotonic() < end:
     for number in range(1, 1000):
-        sheet.write(DriverStatus(Activity.ASKING, *[number] * 7))
+        status.write(DriverStatus(Activity.ASKING, *[number] * 7))
 """
 
 
 def test_reads_of_the_shared_state_are_atomic() -> None:
-    sheet = SharedStatus.fresh()
+    status = SharedStatus.fresh()
     try:
-        first, read = sheet.read(), []
-        command = [sys.executable, "-c", BUSY_WRITER, str(sheet.descriptor)]
-        with subprocess.Popen(command, pass_fds=(sheet.descriptor,)) as writer:
+        first, read = status.read(), []
+        command = [sys.executable, "-c", BUSY_WRITER, str(status.descriptor)]
+        with subprocess.Popen(command, pass_fds=(status.descriptor,)) as writer:
             while writer.poll() is None:
-                read.append(sheet.read())
+                read.append(status.read())
         assert writer.returncode == 0
         changed = [state for state in read if state != first]
         assert changed
         assert [state for state in changed if len(set(state[1:])) != 1] == []
     finally:
-        sheet.close()
+        status.close()
 
 
 def test_a_writer_killed_during_a_write_leaves_the_previous_state() -> None:
-    sheet = SharedStatus.fresh()
+    status = SharedStatus.fresh()
     try:
-        sheet.write(DriverStatus(Activity.ASKING, 12.5, 7))
-        assert sheet.read() == DriverStatus(Activity.ASKING, 12.5, 7)
-        os.pwrite(sheet.descriptor, bytes(16), 0)
-        assert sheet.read() == DriverStatus(Activity.ASKING, 12.5, 7)
+        status.write(DriverStatus(Activity.ASKING, 12.5, 7))
+        assert status.read() == DriverStatus(Activity.ASKING, 12.5, 7)
+        os.pwrite(status.descriptor, bytes(16), 0)
+        assert status.read() == DriverStatus(Activity.ASKING, 12.5, 7)
     finally:
-        sheet.close()
+        status.close()

@@ -19,43 +19,43 @@ def at(x: float, distance_m: float) -> Any:
 
 
 @pytest.fixture
-def sheet() -> Iterator[SharedStatus]:
+def status() -> Iterator[SharedStatus]:
     opened = SharedStatus.fresh()
     yield opened
     opened.close()
 
 
-def busy_when_asked(sheet: SharedStatus, watch: StatusWriter, calls: int) -> list[Activity]:
+def busy_when_asked(status: SharedStatus, watch: StatusWriter, calls: int) -> list[Activity]:
     """Returns the status during each call of an episode, reset first."""
     watch.begin(Activity.SIMULATING)
     found = []
     for _ in range(calls):
         watch.before_call(DRIVE, at(0.0, 2.0))
-        found.append(sheet.read().busy)
+        found.append(status.read().busy)
         watch.after_call()
     return found
 
 
-def test_only_answers_after_the_first_one_have_the_strict_timeout(sheet: SharedStatus) -> None:
-    watch = StatusWriter(sheet)
-    assert busy_when_asked(sheet, watch, 4) == [Activity.MAKING, Activity.MAKING, Activity.ASKING, Activity.ASKING]
-    assert busy_when_asked(sheet, watch, 3) == [Activity.MAKING, Activity.ASKING, Activity.ASKING]
+def test_only_answers_after_the_first_one_have_the_strict_timeout(status: SharedStatus) -> None:
+    watch = StatusWriter(status)
+    assert busy_when_asked(status, watch, 4) == [Activity.MAKING, Activity.MAKING, Activity.ASKING, Activity.ASKING]
+    assert busy_when_asked(status, watch, 3) == [Activity.MAKING, Activity.ASKING, Activity.ASKING]
     watch.is_warm = False  # over a new connection
-    assert busy_when_asked(sheet, watch, 3) == [Activity.MAKING, Activity.MAKING, Activity.ASKING]
+    assert busy_when_asked(status, watch, 3) == [Activity.MAKING, Activity.MAKING, Activity.ASKING]
 
 
-def test_the_time_of_an_expert_counts_as_simulation_time(sheet: SharedStatus) -> None:
-    watch = StatusWriter(sheet)
+def test_the_time_of_an_expert_counts_as_simulation_time(status: SharedStatus) -> None:
+    watch = StatusWriter(status)
     watch.is_privileged = True
-    assert busy_when_asked(sheet, watch, 4) == [Activity.SIMULATING] * 4
+    assert busy_when_asked(status, watch, 4) == [Activity.SIMULATING] * 4
 
 
-def test_the_shared_status_has_the_progress_of_the_robot(sheet: SharedStatus) -> None:
-    watch = StatusWriter(sheet)
+def test_the_shared_status_has_the_progress_of_the_robot(status: SharedStatus) -> None:
+    watch = StatusWriter(status)
     watch.begin(Activity.SIMULATING)
     for x, distance_m in ((0.0, 2.0), (0.5, 1.5), (0.2, 1.8)):
         watch.before_call(DRIVE, at(x, distance_m))
-    state = sheet.read()
+    state = status.read()
     assert (state.steps, state.contact_steps) == (3, 1)
     assert (state.start_m, state.least_m, state.now_m) == (2.0, 1.5, 1.8)
     assert state.driven_m == pytest.approx(0.8)

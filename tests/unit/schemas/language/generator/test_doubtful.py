@@ -177,7 +177,7 @@ def test_a_prim_with_an_ambiguous_name_is_a_borderline_case_of_each_kind(prim, s
     assert set(kinds().seen_in([prim])[0]) == shown
 
 
-def test_that_is_never_precedes_a_clause_with_the_preposition_with():
+def test_with_nothing_on_top_follows_the_noun_without_that_is():
     beside = Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind="shelf", definite=False),))
     phrase = grammar("en").phrase(
         Expression(kind="table", clauses=(Clause(relation=Relation.EMPTY), beside)), "nom", {"relation": 1}
