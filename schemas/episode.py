@@ -38,7 +38,7 @@ _OF_RECORDING = {
     "sensor_digests": True,
     "appearance": True,
 }
-"""Fields that differ between the recordings of an episode, beside its digests."""
+"""Fields that differ between the recordings of an episode, in addition to its digests."""
 
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 

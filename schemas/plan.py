@@ -86,7 +86,7 @@ class Plan(Model):
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
     """Content that an episode stores; omitted for frames, so that former digests stay valid."""
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
-    """Sensors that a recording of frames stores, beside the recorded camera, and the default rig of readers of a
+    """Sensors that a recording of frames stores in addition to the recorded camera, and the default rig of readers of a
     recording of states; null and omitted for none."""
     appearance: AppearanceData | None = Field(default=None, exclude_if=lambda it: it is None)
     """Ranges of the appearance of the frames of a recording of frames, and default appearance of readers of a recording

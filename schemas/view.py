@@ -1,4 +1,4 @@
-"""View settings: what images and measurements of an episode depend on, beside its scene, poses and recorded camera.
+"""View settings: what images and measurements of an episode depend on in addition to its scene, poses and recorded camera.
 
 The settings are part of a plan, travel in a job, and are recorded in the metadata. Renders nothing.
 """
@@ -32,7 +32,7 @@ class ViewSettings(Model):
     """Settings of rendering that a plan, or the command that renders, chooses."""
 
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
-    """Sensors whose measurements are stored beside the recorded camera; null for none."""
+    """Sensors whose measurements are stored in addition to the recorded camera; null for none."""
 
     appearance: AppearanceData | None = Field(default=None, exclude_if=lambda it: it is None)
     """Ranges of the appearance; null shows the scene as it was compiled."""

@@ -60,7 +60,7 @@ class RayWorker:
             return process.wait()
 
     def stop(self) -> None:
-        """Ends the worker, which returns its jobs, and removes its files; runs beside `run`."""
+        """Ends the worker, which returns its jobs, and removes its files; may be called while `run` runs."""
         process = self._process
         if process is not None and process.stdin is not None:
             process.stdin.close()

@@ -18,7 +18,7 @@ _ROWS_AT_A_TIME = 2000
 _CHECKS_AT_A_TIME = 4
 _BYTES_PER_S = 75e6
 _EPISODE_S = 0.01
-"""CPU time of a deep check beside that of the bytes, seconds."""
+"""CPU time of a deep check in addition to that of the bytes, seconds."""
 _WORTH_A_PROCESS_S = 2.0
 """CPU time of checks for which a process is started, seconds: twice the CPU time of its start and imports."""
 

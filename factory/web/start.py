@@ -64,7 +64,7 @@ def serve(
         more_routes: further routes of the application.
         evaluations: directories of `factory eval -o`.
         renders_ahead: renders a frame of each of the first scenes of a dataset of states at once, so that the first
-            viewer does not wait for a rendering process and its scenes; not beside a run.
+            viewer does not wait for a rendering process and its scenes; not during a run.
 
     Raises:
         UsageError: the address is malformed, or other machines can reach it without a token and without TLS.

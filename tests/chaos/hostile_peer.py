@@ -1,4 +1,4 @@
-"""Hostile peer beside honest workers: sends invalid requests at a bounded rate and counts the refusals.
+"""Hostile peer among honest workers: sends invalid requests at a bounded rate and counts the refusals.
 
 It omits attacks that plain TCP permits by design: operator requests, gateway requests and false reports of
 collisions.

@@ -1,4 +1,4 @@
-"""One hostile peer and one faulty host that take part in a round beside the honest hosts, and their observed
+"""One hostile peer and one faulty host that take part in a round with the honest hosts, and their observed
 effects."""
 
 from __future__ import annotations

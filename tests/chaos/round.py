@@ -43,7 +43,7 @@ class FaultLoad:
     pause_s: tuple[float, float] = (0.1, 0.7)
     """Shortest and longest pause between two faults, seconds."""
     peers: Peers | None = None
-    """A hostile peer and a faulty host beside the workers; `None` for none."""
+    """A hostile peer and a faulty host in addition to the workers; `None` for none."""
 
 
 def reference_digest(commands: ClusterCommands, root: Path) -> str:

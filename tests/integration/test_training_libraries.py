@@ -1,4 +1,4 @@
-"""Training libraries beside the simulation: Triton's LLVM, and Stable-Baselines3 on the environment.
+"""Training libraries in one process with the simulation: Triton's LLVM, and Stable-Baselines3 on the environment.
 
 These tests run in `make test-train`; they are skipped without the packages.
 """

@@ -1,4 +1,4 @@
-"""A worker beside a peer that answers coordinator requests with bytes outside the protocol."""
+"""A worker in a network with a peer that answers coordinator requests with bytes outside the protocol."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
 
 
 def prepare_scenes(context: WebContext, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Renders the first frame of one episode for each of the first scenes, in the background. Beside a run, only the
+    """Renders the first frame of one episode for each of the first scenes, in the background. During a run, only the
     first page does this, for one scene, because each scene takes about a second of CPU time from the run."""
     shown = first_frames([row["scene"] for row in rows], [row["episode_id"] for row in rows])
     if not context.workspace.is_written():

@@ -1,4 +1,4 @@
-"""Test processes that run beside each other get different ports."""
+"""Test processes that run in parallel get different ports."""
 
 from __future__ import annotations
 

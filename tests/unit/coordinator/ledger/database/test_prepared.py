@@ -1,4 +1,4 @@
-"""Prepared statements beside SQLAlchemy's own: the same rows, the same transactions, the same exceptions."""
+"""Prepared statements compared with SQLAlchemy's own: the same rows, the same transactions, the same exceptions."""
 
 from __future__ import annotations
 
