@@ -160,7 +160,7 @@ def read_info(connection: Connection) -> LedgerInfo:
 
 @functools.lru_cache(maxsize=2)
 def _read_plan(text: str) -> Plan:
-    """Reads a plan; a reader asks for the same one with every progress."""
+    """Parses a plan; cached, because a reader needs the same one each time it reads the progress."""
     return Plan.model_validate_json(text)
 
 

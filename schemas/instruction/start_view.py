@@ -125,7 +125,7 @@ def _rank_findings(
     camera: CameraConfig,
     min_pixels: int,
 ) -> list[str]:
-    """Returns a sentence for each of both measures in which the target does not have the required rank."""
+    """Returns a sentence for each of the two measures by which the target does not have the required rank."""
     seen = see_objects(ids, depth, {target, *same_category}, camera, min_pixels)
     found = []
     measures = {"nearest": _range_of, "most central": _angle_of}

@@ -16,8 +16,8 @@ from schemas.rig.rig import Rig, Sensor
 MAX_MEASURED_IMAGES = 60_000
 """Largest number of stored images and scans of an episode; a bundle has at most 65,535 members, frames included."""
 _MOST_RADIAL = 3.0
-"""Largest distance of a point within the far plane of a face of a camera, in distances of that plane: a single face
-reaches 63 degrees along rows and columns, a side of a cube 45."""
+"""Upper bound of the distance of a point before the far plane of a camera face, as a multiple of the distance of that
+plane. A single face extends to 63 degrees along rows and columns, the face of a cube to 45."""
 
 
 def is_of_motion(sensor: Sensor) -> bool:

@@ -34,7 +34,7 @@ READING = (
     ("jobs", "show", "{}", "1"),
 )
 TABLES_ONLY = ("stats", "{}")
-"""Reads no ledger, so that a wrong value can only matter by its presence."""
+"""Command that reads no ledger, and must ignore any damage to it."""
 WRITING = (("jobs", "retry", "{}", "--all"), ("jobs", "cancel", "{}", "2"))
 OPENING = (
     ("run", "--out", "{}"),

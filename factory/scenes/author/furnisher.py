@@ -20,7 +20,7 @@ _THING_M = 0.34
 _VARIANTS = 32_760
 """Common multiple of the numbers of variants, so that each variant is equally probable."""
 _FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
-"""Number of variants in one building, because each has a texture."""
+"""Number of variants that one building uses; it is small, because each variant has its own texture."""
 _JOINT_M = 0.8
 """Distance along a side from an opening without a wall within which nothing hangs, metres."""
 _DOOR_M = 2.0

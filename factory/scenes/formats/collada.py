@@ -124,7 +124,7 @@ def _texcoords(primitive: Any) -> Ints:
     rows = np.asarray(primitive.texcoord_indexset[0], np.int64).reshape(-1)
     count = len(primitive.texcoordset[0])
     if len(rows) and not 0 <= rows.min() <= rows.max() < count:
-        raise ValueError(f"texture coordinate {rows.max()} of {count}")
+        raise ValueError(f"texture coordinates {rows.min()} to {rows.max()} (from 0) are used, but there are {count}")
     return rows
 
 

@@ -135,7 +135,7 @@ def _piece(faces: _Faces, points: Floats, colours: Floats | None, uvs: Floats, s
 
 def _values(uvs: Floats, rows: Ints) -> Floats:
     if len(rows) and not 0 <= rows.min() <= rows.max() < len(uvs):
-        raise ValueError(f"texture coordinate {rows.max() + 1} of {len(uvs)} (lowest {rows.min() + 1})")
+        raise ValueError(f"texture coordinates {rows.min() + 1} to {rows.max() + 1} are used, but there are {len(uvs)}")
     return np.asarray(uvs[rows])
 
 

@@ -113,7 +113,7 @@ def mesh_piece(
         ValueError: points are not finite, or a corner is out of range.
     """
     if len(corners) and not 0 <= corners.min() <= corners.max() < len(points):
-        raise ValueError(f"vertex {corners.max()} of {len(points)} (lowest {corners.min()})")
+        raise ValueError(f"vertices {corners.min()} to {corners.max()} (from 0) are used, but there are {len(points)}")
     triangles = points[corners]
     if not np.isfinite(triangles).all():
         raise ValueError("points are not finite")

@@ -41,7 +41,9 @@ def triangulate(points: Floats, counts: Ints, indices: Ints) -> Triangulation:
     if counts.sum() != len(indices) or (counts < 0).any():
         raise ValueError(f"bad topology: the faces need {counts.sum()} corners, but the mesh has {len(indices)}")
     if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
-        raise ValueError(f"bad topology: vertex {indices.max()} of {len(points)} (lowest {indices.min()})")
+        raise ValueError(
+            f"bad topology: vertices {indices.min()} to {indices.max()} (from 0) are used, but there are {len(points)}"
+        )
     starts = np.cumsum(counts) - counts
     corners, faces = [_NONE], [np.zeros(0, np.int64)]
     for size in np.unique(counts[counts >= 3]):

@@ -84,8 +84,16 @@ class Case:
 CASES = {
     "not a number": Case(mesh("Bad", "[(0, 0, 0), (nan, 0, 0), (0, 1, 0)]"), ("/World/Bad", "not finite"), 0),
     "infinite": Case(mesh("Bad", "[(0, 0, 0), (inf, 0, 0), (0, 1, 0)]"), ("/World/Bad", "not finite"), 0),
-    "index past the points": Case(mesh("Bad", CORNERS, indices="[0, 1, 7]"), ("/World/Bad", "vertex 7 of 3"), 0),
-    "negative index": Case(mesh("Bad", CORNERS, indices="[0, 1, -1]"), ("/World/Bad", "lowest -1"), 0),
+    "index past the points": Case(
+        mesh("Bad", CORNERS, indices="[0, 1, 7]"),
+        ("/World/Bad", "vertices 0 to 7 (from 0) are used, but there are 3"),
+        0,
+    ),
+    "negative index": Case(
+        mesh("Bad", CORNERS, indices="[0, 1, -1]"),
+        ("/World/Bad", "vertices -1 to 1 (from 0) are used, but there are 3"),
+        0,
+    ),
     "negative count": Case(
         mesh("Bad", CORNERS, "[-3, 6]", "[0, 1, 2]"), ("/World/Bad", "bad topology: the faces need 3"), 0
     ),
