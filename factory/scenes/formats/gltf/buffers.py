@@ -44,7 +44,7 @@ class Document:
         """
         found = self.items(key)
         if not 0 <= index < len(found):
-            raise LookupError(f"{key} {index} of {len(found)}")
+            raise LookupError(f"{key}[{index}] is used, but there are {len(found)} {key}")
         return dict(found[index])
 
     def view(self, index: int) -> tuple[memoryview, int]:
