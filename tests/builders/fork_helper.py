@@ -61,7 +61,8 @@ _STARTS_NO_PYTHON = frozenset(
 )
 _SPAWNED = re.compile(r"from multiprocessing\.spawn import spawn_main; spawn_main\((\w+)=(\d+), (\w+)=(\d+)\)")
 _AT_START = re.compile(r"LD_|PYTHON[A-Z]")
-"""Beginning of the names of variables that loader and interpreter read at their start; `PYTHON` is one of `make`."""
+"""Beginning of the names of variables that loader and interpreter read at their start. `PYTHON` is one of `make`, and
+`PYTHON_VERSION` one of images; the interpreter's own names with `PYTHON_`, since 3.13, change nothing in a fork."""
 _CHANGES_NO_PROGRAM = frozenset({SAFE_PATH, "PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"})
 """Those that do not prevent a fork: the validator has none of them, while `make`, CI and images set some of them."""
 NEW_INTERPRETER = "PYTHONNEWINTERPRETER"

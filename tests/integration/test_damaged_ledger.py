@@ -34,7 +34,7 @@ READING = (
     ("jobs", "show", "{}", "1"),
 )
 TABLES_ONLY = ("stats", "{}")
-"""Command that reads no ledger, and must ignore any damage to it."""
+"""Command that reads no ledger; a damaged one is in its dataset."""
 WRITING = (("jobs", "retry", "{}", "--all"), ("jobs", "cancel", "{}", "2"))
 OPENING = (
     ("run", "--out", "{}"),

@@ -25,11 +25,12 @@ from factory.dataset.site import Site, site_of
 from factory.runs.ledger import progress_in, read_ledger
 from schemas.base import Model
 from schemas.errors import WorldError
+from schemas.plan import MAX_EPISODES
 from schemas.storage.dataset_files import META_FILE
 from schemas.support.child import python_module
 
 _EPISODES_PER_S = 20
-"""Number of planned episodes per second of a worker, more than one completes, so that the run does not end."""
+"""Number of planned episodes per second of a worker: more than it completes, so that the run does not end."""
 _SLOW_CLIENTS = 100
 _VISIT_S = 10.0
 """Pause between two pages of a viewer, seconds."""
@@ -82,7 +83,7 @@ def bench_visited(plan: str, workers: int, seconds: float, rounds: int, viewers:
     }
     machine = describe_machine()
     found: dict[str, list[tuple[float, float, float]]] = {kind: [] for kind in kinds}
-    episodes = math.ceil(len(kinds) * rounds * seconds * workers * _EPISODES_PER_S)
+    episodes = min(MAX_EPISODES, math.ceil(len(kinds) * rounds * seconds * workers * _EPISODES_PER_S))
     with _run(plan, episodes, workers) as (host, pid, site):
         while not (site.state_dir / META_FILE).is_file():  # written with the first tables; scenes and workers are ready
             time.sleep(_POLL_S)

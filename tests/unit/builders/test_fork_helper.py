@@ -95,6 +95,7 @@ def expect_a_module(begins: Callable[[], None], folder: Path, variables: dict[st
         {"PYTHONDONTWRITEBYTECODE": "yes"},
         {"PYTHONUNBUFFERED": "yes"},
         {"PYTHON": sys.executable},
+        {"PYTHON_VERSION": "3.11.2"},
     ],
 )
 def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(tmp_path, begins, variables):

@@ -163,9 +163,8 @@ def test_a_name_means_the_same_in_every_command() -> None:
 
 def test_a_choice_is_one_of_the_printed_values() -> None:
     choices = {(path, *option.type.choices) for path, option in options() if isinstance(option.type, click.Choice)}
-    assert not [
-        found for found in choices if any(type(value) is not str for value in found)
-    ]  # a member of an enum would print its name
+    # a member of an enum has a name and a value
+    assert not [found for found in choices if any(type(value) is not str for value in found)]
 
 
 def test_a_number_of_things_is_plural_and_a_filter_is_singular() -> None:
