@@ -33,7 +33,7 @@ from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8
 _FEW, _SHORT_SEARCHES = 4, 2
-"""Number of features of a short search, and of such searches."""
+"""Number of features of a short search, and number of short searches before one with all features."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article", "material")
 _SYNONYMS = 6
 

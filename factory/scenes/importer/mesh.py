@@ -80,7 +80,7 @@ def _polygon_mesh(prim: Any, notes: list[str]) -> ImportedMesh | None:
         return None
     points, counts, indices = np.array(raw[0], np.float64), np.array(raw[1], np.int64), np.array(raw[2], np.int64)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"points of shape {points.shape}")
+        raise ValueError(f"points must have the shape (N, 3), not {points.shape}")
     if not np.isfinite(points).all():
         raise ValueError("points are not finite")
     if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none and len(counts) < len(indices) / 3:
