@@ -49,7 +49,7 @@ max_braking_mps2 = 4.0
 robot that stops at once rolls back further in such a long control period than the validation accepts."""
 
 IMPORTED = (
-    *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # which sets variables
+    *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # bench sets variables
     *(found.name for found in pkgutil.walk_packages(commands.__path__, f"{commands.__name__}.")),
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
     *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas

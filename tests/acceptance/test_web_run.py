@@ -1,4 +1,4 @@
-"""The web page of `factory run --http`: a run of the command line is watched until it ends; what visitors cost it."""
+"""The web page of `factory run --http`: a run is watched until it ends, and the cost of visitors is measured."""
 
 from __future__ import annotations
 

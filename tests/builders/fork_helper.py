@@ -1,9 +1,9 @@
 """Forks the Python processes that a tested process starts, instead of starting interpreters that import for a second.
 
-A helper, a child of the process, forks them: a copy of the process from before it starts threads, or a new interpreter.
-It gives its forks its own parent, so they are real children of the process. They have the arguments, environment,
-directory, descriptors and session that the process requested, and run their module as `python -m` does. Other programs,
-and interpreters with other variables, are started as always.
+A helper forks them. It is a child of the process: a copy made before the process starts threads, or a new interpreter.
+The parent of its forks is the parent of the helper, so that they are real children of the process. They have the
+arguments, environment, directory, descriptors and session that the process requested, and run their module as
+`python -m` does. Other programs, and interpreters with other environment variables, are not forked but started.
 """
 
 from __future__ import annotations
@@ -210,9 +210,10 @@ def end_after(program: Callable[[], object]) -> NoReturn:
 
 
 def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
-    """Returns the variables that change a process from its start.
+    """Returns the environment variables that a process reads only when it starts.
 
-    A directory that is missing, such as the one that OpenCV adds, or that is imported from anyway, changes nothing.
+    Directories of a search path that change nothing are excluded: those that do not exist, such as the one that OpenCV
+    adds, and those that `sys.path` contains already.
     """
     found = {
         name: value for name, value in environment.items() if _AT_START.match(name) and name not in _CHANGES_NO_PROGRAM
@@ -225,7 +226,7 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 class _Forkable:
-    """The commands of this process, and of no fork of it, that a fork runs as a new interpreter would."""
+    """The commands of this process that a fork runs as a new interpreter would. Forks of this process have none."""
 
     def __init__(self, modules: Set[str]) -> None:
         self._modules, self._owner = modules, os.getpid()

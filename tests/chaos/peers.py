@@ -30,7 +30,9 @@ class Peers:
 
 
 def preload_strikes(cluster: ChaosCluster, rng: random.Random) -> bool:
-    """Gives one of the two hosts all strikes but the last one before it is barred; a round is too short for eight.
+    """Gives one of the two hosts all strikes except the last one before it is barred.
+
+    A round is too short for a host to get all eight strikes in it.
 
     Returns:
         Whether the ledger was updated; otherwise the caller retries.

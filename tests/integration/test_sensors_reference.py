@@ -144,7 +144,7 @@ def test_rays_through_pixels_meet_what_the_renderer_draws_there(
 def test_opencvs_stereo_matcher_gives_the_depth_of_the_pair_of_nova_carter_within_its_expected_error(
     scene: CompiledScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An error of s pixels of the disparity is one of d^2 s / (f b) of the depth d (Khoshelham and Elberink 2012)."""
+    """An error of s pixels in the disparity is one of d^2 s / (f b) in the depth d (Khoshelham and Elberink 2012)."""
     monkeypatch.setenv("LP_NUM_THREADS", "0")
     left, right = load_rig("nova-carter").cameras[:2]
     focal, baseline = left.focal_px[0], left.mount.y_m - right.mount.y_m

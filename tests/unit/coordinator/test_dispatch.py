@@ -1,4 +1,4 @@
-"""Assignment of bundles to pullers, with gateways that claim too many routers or those of others."""
+"""Assignment of bundles to pullers, with gateways that claim too many routers or the routers of others."""
 
 from __future__ import annotations
 

@@ -250,7 +250,7 @@ def test_a_misspelled_command_or_option_is_answered_with_the_closest_visible_nam
 
 
 def loaded_by(body: str) -> set[str]:
-    """Returns the modules that a process imports that runs some lines."""
+    """Returns the modules that a process has imported after it has run some lines of code."""
     command = [sys.executable, "-c", IMPORTED.format(body=body)]
     return set(subprocess.run(command, capture_output=True, text=True, check=True).stderr.split())
 

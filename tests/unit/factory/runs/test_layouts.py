@@ -1,4 +1,4 @@
-"""A layout takes the first of its seeds whose package fulfils the plan; packages are those of the cache."""
+"""A layout takes the first of its seeds whose package fulfils the plan; packages are read from the cache."""
 
 from __future__ import annotations
 

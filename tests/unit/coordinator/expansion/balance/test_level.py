@@ -1,4 +1,4 @@
-"""Even categories over all scenes: exact by exchanges, for any scenes."""
+"""Categories are spread as evenly as possible over all scenes: exchanges find the optimum for any scenes."""
 
 from __future__ import annotations
 
