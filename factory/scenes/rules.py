@@ -63,7 +63,7 @@ class CategoryRule(Model):
     colours: tuple[Colour, ...] = ()
     """Plausible dominant colours; empty is any colour."""
     has_colour: bool = True
-    """Whether instructions may name the colour. False for racks and monitors: their content has the colour."""
+    """Whether instructions may name the colour. False for racks and monitors, which show colours of their content."""
 
     @model_validator(mode="after")
     def _has_a_pattern(self) -> CategoryRule:

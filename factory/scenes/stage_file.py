@@ -125,13 +125,13 @@ def _find_problem(path: Path, head: bytes) -> str:
     for kind, (magic, suffixes) in _USD.items():
         if head.startswith(magic) and (kind != "a zip archive" or suffix in STAGE_SUFFIXES):
             wanted = path.with_suffix(suffixes[-1]).name
-            return "" if suffix in suffixes else f"{path} holds {kind}, which USD opens as {wanted}; rename the file"
+            return "" if suffix in suffixes else f"{path} contains {kind}, which USD opens as {wanted}; rename the file"
     if head.startswith(_LFS):
         return f"{path} is a pointer of Git LFS, not the file itself; fetch it with: git lfs pull"
     foreign = _kind_of(head)
     if foreign and suffix in STAGE_SUFFIXES:
         remedy = "rename the file" if foreign in _READ else _remedy(path, foreign)
-        return f"{path} holds {foreign} under the name of a USD stage; {_SUPPORTED}; {remedy}"
+        return f"{path} contains {foreign}, but has the suffix of a USD stage; {_SUPPORTED}; {remedy}"
     kind = foreign or _SUFFIXES.get(suffix, "")
     if kind in _READ or suffix in STAGE_SUFFIXES:
         return ""  # the reader reports errors in the content

@@ -95,7 +95,7 @@ def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factor
     assert not any(key in words for key in ("blind", "share_within", "farthest_floor_m"))
     closet = TEXT.box("Floor", (0, 0, -0.1), (2, 2, 0)) + TEXT.box("SM_Crate_01", (0.2, 0.2, 0), (0.5, 0.5, 0.4))
     _, small = room(factory, tmp_path / "small", closet)
-    assert "spawn points of 40" in factory("scene", "survey", small, expect=1).stderr
+    assert "of 40 recommended spawn points" in factory("scene", "survey", small, expect=1).stderr
 
 
 def test_import_and_plans_apply_an_edited_target_list(factory, tmp_path):

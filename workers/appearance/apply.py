@@ -39,7 +39,7 @@ def apply_appearance(scene: CompiledScene, light: LightGroups | None, drawn: Dra
         drawn: factors of the episode.
 
     Raises:
-        WorldError: the factors are of another scene.
+        WorldError: the factors are of another scene, or light groups are missing.
     """
     changed = _repaint(scene, drawn.materials)
     if drawn.clutter:
@@ -69,9 +69,12 @@ def _relight(scene: CompiledScene, light: LightGroups | None, drawn: DrawnAppear
             return scene
         lit = _with_light_map(scene)
         return replace(lit, info=_with_sky(scene.info, (2.0**stops,) * 3), light_map=expose(lit.light_map, stops))
-    if light is None or len(light.info.groups) != len(drawn.light.lamps):
-        found = "no light groups" if light is None else f"{len(light.info.groups)} lamp groups"
-        raise WorldError(f"{found} of scene {scene.info.name}, the appearance has {len(drawn.light.lamps)}")
+    name, wanted = scene.info.name, len(drawn.light.lamps)
+    if light is None:
+        raise WorldError(f"scene {name} has no light groups, but its light is varied: run `factory scene light {name}`")
+    if len(light.info.groups) != wanted:
+        found = f"scene {name} has {len(light.info.groups)} light groups, the appearance has {wanted}"
+        raise WorldError(f"{found}: the appearance is of another scene")
     red, green, blue = gain_of(drawn.light.sky, SKY_K)
     info = _with_sky(scene.info, (red * 2**stops, green * 2**stops, blue * 2**stops))
     lit = _with_light_map(scene)
@@ -126,8 +129,8 @@ def _repaint(scene: CompiledScene, changes: tuple[SurfaceChange, ...]) -> Compil
     textures = (*scene.textures, *map(draw_pattern, patterns))
     if len(textures) > MAX_TEXTURES:
         raise WorldError(
-            f"scene {scene.info.name} has {len(scene.textures)} of {MAX_TEXTURES} textures, so that {len(patterns)} of "
-            "walls and floors cannot be added: set materials.walls and materials.floors to []"
+            f"scene {scene.info.name} has {len(scene.textures)} of at most {MAX_TEXTURES} textures, and "
+            f"{len(patterns)} patterns of walls and floors do not fit: set materials.walls and materials.floors to []"
         )
     info = scene.info.model_copy(update={"texture_count": len(textures)})
     return replace(scene, info=info, colours=colours, uvs=uvs, part_texture=layers, textures=textures)

@@ -53,7 +53,7 @@ def changed_camera(camera: Camera, change: CameraChange | None) -> Camera:
     except ValidationError as error:
         found = "; ".join(item["msg"].removeprefix("Value error, ") for item in error.errors())
         raise UsageError(
-            f"camera {camera.name!r} with a focal length of {change.focal:g} times its own: {found}. "
+            f"camera {camera.name!r} does not permit {change.focal:g} times its focal length: {found}. "
             "Give a smaller range camera.focal in the appearance"
         ) from error
 

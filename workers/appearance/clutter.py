@@ -1,7 +1,8 @@
 """Places small objects on the floor beside the path of the robot. Pure functions.
 
-An object keeps a clearance from the footprint at every pose, because the robot drove without it, and it stands
-outside of the triangle of views to the target from the first and the last pose, so that it hides no pixel of it there.
+The robot drives without the objects, so each object keeps a clearance from the footprint at every pose. It is outside
+of the area between the robot and the target at the first and the last pose, so that it hides no pixel of the target
+there.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ COLOURS = (
 _GAP_M = 0.05
 """Free space between an object and anything else, metres."""
 _VIEW_MARGIN_M = 0.15
-"""Margin beside the views to the target, metres; cameras are displaced by centimetres, and the robot is beside them."""
+"""Margin around the area between the robot and the target, metres. The area begins at base_link, but the cameras are
+mounted beside it, and are displaced by centimetres."""
 
 
 def place_clutter(
@@ -82,7 +84,7 @@ def place_clutter(
 
 
 def _distance_to_path(grid: Grid, poses: Floats) -> Floats:
-    """Returns (H, W) the distance from each cell to the nearest centre of a disc of the footprint, metres, or less."""
+    """Returns (H, W) a lower bound of the distance from each cell to the centres of the footprint's discs, metres."""
     yaw = np.array([_yaw(*row[3:]) for row in poses])
     along = np.asarray(DISC_OFFSETS_M)
     x = poses[:, 0, None] + along * portable.cos(yaw)[:, None]
@@ -100,7 +102,7 @@ def _yaw(qw: float, qx: float, qy: float, qz: float) -> float:
 
 
 def _in_view(grid: Grid, target: Target, poses: Floats) -> Bools:
-    """Returns (H, W) the cells near a line from the robot to the target, at the first or at the last pose."""
+    """Returns (H, W) the cells in or near the area between the robot and the target, at the first or the last pose."""
     rows, columns = np.indices(grid.occupancy.shape)
     points = grid.centre_of(np.stack((rows, columns), axis=-1).reshape(-1, 2))
     corners = np.array(target.footprint_m or _box(target))

@@ -20,7 +20,7 @@ _LIGHT = np.array((0.30, -0.22, 0.93))
 RADII = MappingProxyType({"ball": 0.5, "bottle": 0.17, "box": 0.62, "books": 0.66, "cone": 0.36})
 """Radius of the circle on the floor that contains an object, by kind, share of its largest side."""
 SHADOW_RINGS = ((0.0, 0.78, 0.55), (0.78, 0.9, 0.68), (0.9, 1.02, 0.81), (1.02, 1.14, 0.92))
-"""Inner and outer radius, in radii of the object, and the share of light, of the rings of its shadow."""
+"""Rings of the shadow of an object: inner and outer radius, in radii of the object, and remaining share of light."""
 
 
 class ClutterShape(NamedTuple):
@@ -43,7 +43,7 @@ def shape_of(kind: str) -> ClutterShape:
 
 
 def _shaded(triangles: Floats, tint: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> ClutterShape:
-    """Shades triangles by their normals: baked light has no object in it."""
+    """Shades triangles by their normals, because the baked light does not include the object."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.maximum(np.sqrt((cross**2).sum(axis=1)), 1e-12)
     facing = (cross * _LIGHT).sum(axis=1) / length

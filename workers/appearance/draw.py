@@ -68,7 +68,7 @@ def draw_appearance(
 
 
 def _draw_light(ranges: LightRanges, stream: FactorStream, light: LightGroups | None) -> LightMix:
-    """Returns the light of each group; screens keep theirs, and one other group is always on."""
+    """Returns the light of each group. Screens keep their light, and at least one of the other groups is on."""
     if light is None:
         raise ValueError("the light groups of the scene are missing")
     kept = LampLight(gain=1.0, temperature_k=LAMP_K)

@@ -11,16 +11,16 @@ from schemas.scene import CompiledScene
 from schemas.support.numpy_types import Floats
 
 _NEAR_M = 0.03
-"""Largest distance of a floor from the height of the floor, metres."""
+"""Largest vertical distance of a floor triangle from the floor height of the scene, metres."""
 
 
 class FloorTriangle(NamedTuple):
     """Triangle of the floor."""
 
     first: int
-    """Its first vertex."""
+    """Index of the first vertex of the triangle."""
     part: int
-    """Its part."""
+    """Index of the part that contains the triangle."""
     corners: Floats
     """(3, 3) corners, metres."""
 

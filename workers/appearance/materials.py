@@ -24,9 +24,11 @@ _SAMPLES = 300
 """Points on an object at which its colour is named."""
 _DOWN = -0.7
 _MAIN_SHARE = 0.25
-"""Share of the area of its kind from which a wall or floor gets a new material; others are trims."""
+"""Smallest area of a slot that gets a new colour, as a share of the largest slot with the same texture; smaller slots
+are trims. A texture stays if its largest slot has less than a quarter of this share of the area of all walls or floors.
+"""
 _TINTS = (0.8, 1.0)
-"""Range of the factor of textured objects."""
+"""Range of the factor that darkens the textures of objects."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class SceneSurfaces:
     slot: Ints
     """(N,) slot of each point, or -1."""
     plain: Floats
-    """(N, 3) linear colour of each point without that of its vertex: of the texture, or white."""
+    """(N, 3) linear colour of the texture at each point, white without a texture; `base` multiplies it."""
     base: Floats
     """(N, 3) linear colour of the vertex of each point."""
 
@@ -63,7 +65,7 @@ class SceneSurfaces:
         return cls(tuple(slots), of_vertex, area, owner, own[triangle], plain, base)
 
     def names(self, changes: tuple[SurfaceChange, ...] = ()) -> dict[int, str]:
-        """Returns the colour name of each object of a category, by instance id, with some changed materials."""
+        """Returns the colour name of each object of a category, by instance id, after some changes of materials."""
         colour = self.base.copy()
         numbers = {slot: number for number, slot in enumerate(self.slots)}
         for change in changes:
@@ -102,7 +104,7 @@ def draw_materials(
 def _surface_changes(
     kind: str, materials: list[Material], stream: FactorStream, scene: SceneSurfaces
 ) -> list[SurfaceChange]:
-    """Returns changes of walls or floors: one material for all surfaces with one texture, whose trims stay."""
+    """Returns changes of walls or floors: surfaces with one texture get the same material; trims keep their colour."""
     changes = []
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
     total = sum(scene.area[number] for number in own)
@@ -158,7 +160,7 @@ def _change(slot: SurfaceSlot, colour: str, material: Material | None = None) ->
 def _points(scene: CompiledScene, areas: Floats, cross: Floats) -> tuple[Ints, Ints, Floats]:
     """Returns points on the objects of categories, evenly by area: their instance, triangle and weights (N, 3).
 
-    Faces that face down do not count, as in the naming of the compiler.
+    Faces that face down do not count, as when the compiler names the colours.
     """
     named = {item.id for item in scene.info.instances if item.category}
     of_triangle = np.zeros(len(areas), np.int64)

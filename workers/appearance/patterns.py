@@ -39,7 +39,7 @@ def _hash(a: Ints, b: Ints, seed: int) -> Floats:
 
 
 def _noise(rows: Ints, columns: Ints, cell: tuple[int, int], seed: int) -> Floats:
-    """Returns smooth seamless noise -1..1 with cells of so many rows and columns of pixels."""
+    """Returns smooth seamless noise -1..1; `cell` is the number of rows and columns of a noise cell, pixels."""
     result = np.zeros(rows.shape)
     (r, fr), (c, fc) = (
         (place // size, (place % size) / size) for place, size in zip((rows, columns), cell, strict=True)

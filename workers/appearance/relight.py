@@ -67,7 +67,7 @@ def expose_sky(sky: Sky, gain: Rgb) -> Sky:
 
 
 def gain_of(light: LampLight, neutral_k: float) -> Rgb:
-    """Returns the factors of red, green and blue light of a lamp, whose luminance factor is its gain."""
+    """Returns the factors of the red, green and blue light of a lamp; `light.gain` is the factor of its luminance."""
     now, then = _planckian(light.temperature_k), _planckian(neutral_k)
     red, green, blue = (light.gain * (a / b) ** (1 - _WHITE_BALANCE) for a, b in zip(now, then, strict=True))
     return red, green, blue

@@ -15,7 +15,7 @@ from workers.render import CameraImage, DepthAndIds, RenderedFrame, Renderer
 
 
 class ShiftedRenderer(Closing):
-    """`Renderer` that changes each camera before another renderer draws it, which the caller opens and closes.
+    """`Renderer` that changes each camera and passes it to another renderer, which the caller opens and closes.
 
     Args:
         renderer: renderer with the scene loaded.

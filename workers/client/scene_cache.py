@@ -37,7 +37,7 @@ class _Busy(Exception):
 
 
 class _CachedFile(NamedTuple):
-    """File that may be evicted; sorts by its last use, and a package before a texture."""
+    """File that may be evicted; sorted by last use, with a package before a texture of the same time."""
 
     used_ns: int
     is_texture: bool

@@ -121,7 +121,7 @@ class Slot:
             log.info("renderer", renderer=renderer)
 
     def _claim(self) -> ClaimReply | None:
-        """Claims a job with one token until a reply arrives; returns `None` if the worker closes before."""
+        """Claims a job; repeats the request with one token until a reply arrives. `None` if the worker closes."""
         host, backoff = self._host, Backoff(0.1, 5.0)
         claim = Claim(sid=host.sid, token=secrets.token_hex(16), can_build=bool(host.settings.build_command))
         while not host.phase.closing.is_set():
@@ -273,7 +273,7 @@ class Slot:
         return True
 
     def _report_failure(self, name: str, lease: Lease, report: SimulationReport, seconds: float) -> None:
-        """Reports a failed attempt until a reply arrives, the lease is lost, or the worker ends."""
+        """Reports a failed attempt; repeats this until a reply arrives, the lease is lost, or the worker ends."""
         host, backoff = self._host, Backoff(0.1, 5.0)
         if report.reason is None:
             self._raise_invalid(report)

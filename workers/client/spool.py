@@ -47,7 +47,7 @@ def find_bundle(folder: Path, lease: Lease) -> Path | None:
 
 
 class Spooled(Model):
-    """Sidecar of a finished bundle, with the facts of its announcement."""
+    """Sidecar file of a finished bundle, with the data of its announcement."""
 
     lease: Lease
     """Lease of the job."""

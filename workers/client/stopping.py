@@ -36,7 +36,7 @@ def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
 
 @contextmanager
 def signals_deferred() -> Iterator[None]:
-    """Delays SIGTERM and Ctrl-C until the end of the block, so that the caller knows a process that it starts there.
+    """Delays SIGTERM and Ctrl-C until the end of the block, so that a process started there is known to the caller.
 
     Only for the main thread.
     """

@@ -27,7 +27,8 @@ _POLL_S = 0.2
 _DRAIN_S = 3.5
 _JOIN_S = 2.0
 _FINISH_TIMEOUT_S = 5.0
-"""Time for asking the coordinator of a finished run about spooled bundles, seconds; it may have ended."""
+"""Time for asking the coordinator of a finished run about spooled bundles, seconds. The coordinator may
+have ended."""
 
 log = structlog.get_logger(__name__)
 
@@ -164,8 +165,8 @@ def _find_run(
 ) -> HelloReply | None:
     """Waits for the reply of a run until `wait_s` is over; returns `None` if the worker is stopped or the run finished.
 
-    After the evaluation `settled`, a worker returns to the collection that it interrupted, or gets `None` if there is
-    none.
+    After the evaluation with the name `settled`, the worker returns to the collection that the evaluation interrupted,
+    or gets `None` if there is no such collection.
     """
     hello, pause, started = make_hello(sid, name, settings.cores), Backoff(0.2, 2.0), time.monotonic()
     is_open = False

@@ -13,7 +13,7 @@ from workers.planning import Waypoint
 
 
 class ExpertObservation(Protocol):
-    """Observation of an expert: `target_mask` and `obstacle_near` are measured, the rest is true. Images are lazy."""
+    """Observation of an expert: `target_mask` and `obstacle_near` are measured in an image, the rest is exact."""
 
     @property
     def target_mask(self) -> MaskMeasures:

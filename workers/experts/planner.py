@@ -20,9 +20,9 @@ from workers.planning import Waypoint, plan_path
 from workers.planning.follow import Follower
 
 _LAST_MARGIN_M = 0.01
-"""Distance to the edge of the success region, inside it, at which the robot may stop at the end of a path, metres."""
+"""Distance inside the edge of the success region at which the robot may stop at the end of a path, metres."""
 STOPPED_M = 0.055
-"""Distance to the edge of the success region, inside it, at which the robot stands after braking, metres; measured."""
+"""Measured distance inside the edge of the success region at which the robot comes to rest after braking, metres."""
 _AHEAD_RAD = 0.6
 """Largest bearing of the target's centroid at which the robot stops before the end of its path, if the target must be
 in view, radians; the edge of the image is at 0.79."""

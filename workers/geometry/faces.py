@@ -89,8 +89,9 @@ class FacePlan:
 def plan_faces(camera: Camera) -> FacePlan:
     """Returns the plan of a camera; the plans of the most recently used lenses are kept.
 
-    The faces have at least as many pixels per radian as the image: along its coarser direction everywhere, and along
-    rows and columns where these are coarsest. Near its poles, a panorama has more pixels per radian than the faces.
+    At every pixel, the faces have at least as many pixels per radian as the coarser direction of the image there, rows
+    or columns. They also have at least as many as each of the two directions has where it is coarsest. Near its poles,
+    a panorama has more pixels per radian than the faces.
 
     Raises:
         UsageError: the faces would be larger than the drivers support.
@@ -166,7 +167,8 @@ def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Float
     if max(map(max, sizes)) > _MAX_FACE_PX or height > _MAX_ATLAS_PX:
         raise UsageError(
             f"the {camera.model} camera of {camera.width} x {camera.height} pixels has up to {focal:.0f} pixels per "
-            f"radian, and is composed of {width} x {height} pixels; {_MAX_FACE_PX} x {_MAX_ATLAS_PX} are possible: "
+            f"radian, so that its faces need {width} x {height} pixels; at most {_MAX_FACE_PX} x {_MAX_ATLAS_PX} are "
+            "possible: "
             "reduce its resolution or distortion"
         )
     tops = np.concatenate(([0], np.cumsum([size[1] for size in sizes])))

@@ -159,7 +159,7 @@ class Grid:
         return self.see_boxes(points, np.broadcast_to(centre, points.shape), np.broadcast_to(reach, points.shape))
 
     def see_boxes(self, points: Floats, centres: Floats, reaches: Floats) -> Bools:
-        """Returns for points (N, 2) whether each has a line of sight to its target, as `have_sight`.
+        """Returns for points (N, 2) whether each has a line of sight to its target; see `have_sight`.
 
         Args:
             points: x, y, metres.

@@ -40,7 +40,7 @@ def resample_colour(atlas: NDArray[np.uint8], sampling: Sampling) -> NDArray[np.
 
 
 def resample_depth(atlas: NDArray[np.float32], sampling: Sampling, far_m: float) -> NDArray[np.float32]:
-    """Returns (N,) depths of the nearest pixels, axial or radial as the camera has them; 0 beyond `far_m`."""
+    """Returns (N,) depths of the nearest pixels, axial or radial as the camera defines; 0 beyond `far_m`."""
     depth: NDArray[np.float32] = atlas.ravel().take(sampling.nearest) * sampling.reach
     depth[depth > far_m] = 0
     depth[sampling.void] = 0

@@ -220,7 +220,7 @@ class BulletClient(Closing):
         _p.performCollisionDetection(physicsClientId=self._id)
 
     def contacts(self, body: int) -> list[Contact]:
-        """Returns the contacts of a body with all others, as of the last step or detection."""
+        """Returns the contacts of a body with all other bodies, at the last step or detection."""
         points = _p.getContactPoints(bodyA=body, physicsClientId=self._id)
         return [Contact(point[2], point[8]) for point in points]
 

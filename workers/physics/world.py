@@ -1,6 +1,6 @@
 """Simulated world: one robot on a floor with obstacles, in a separate physics client.
 
-Every world has a new robot, because restoring a state is not bit-exact; floor and obstacles are used again. Does not
+Every world has a new robot, because restoring a state is not bit-exact; floor and obstacles are reused. Does not
 draw random numbers, render or control the robot.
 """
 
@@ -222,7 +222,7 @@ def _take_bodies(robot: RobotConfig, control_hz: int, collider: ColliderMesh, fl
 
 
 def _keep_bodies(bodies: _Bodies, collider: ColliderMesh) -> None:
-    """Keeps bodies for the next world, unless others are kept or they cannot be used again."""
+    """Keeps bodies for the next world, or frees them if other bodies are kept or these cannot be used again."""
     robot, _, _ = bodies.key
     if collider.idle or bodies.uses >= _MOST_USES or robot.physics_substeps not in _EXACT_SUBSTEPS:
         bodies.client.close()

@@ -25,7 +25,7 @@ _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
 
 _NEAR_M = 6.0
-"""Length of the paths that are searched first for a start within half of it, metres."""
+"""Longest path that is searched first for a start within half this distance of the goal, metres."""
 
 Number = TypeVar("Number", np.int32, np.float64)
 
@@ -46,8 +46,8 @@ class FloorGraph:
     numbers: NDArray[np.int32]
     """(H, W) number of the cell's node, -1 for impassable cells."""
     edges: scipy.sparse.csr_array
-    """Distance between neighbours times the mean weight of the two cells, metres; in both directions, which scipy would
-    otherwise compute again for every search."""
+    """Distance between neighbours times the mean weight of the two cells, metres. Edges are stored in both directions;
+    otherwise scipy would add the reverse edges in every search."""
 
     @classmethod
     def over(cls, passable: Bools, resolution_m: float, weight: Floats | None = None) -> FloorGraph:
@@ -68,7 +68,7 @@ class FloorGraph:
 
         Args:
             sources: (H, W) true for source cells.
-            limit_m: distance beyond which no path is searched; the others are the same for every limit.
+            limit_m: distance beyond which no path is searched; it does not change smaller distances.
         """
         metres = np.full(self.numbers.shape, np.inf)
         nearer = np.full(self.numbers.shape, -1, np.int32)
@@ -163,7 +163,7 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig
     """Returns the length of the shortest path from a start to the success region, metres; the l of SPL.
 
     The path of cells is shortened to straight segments, so that it is not longer than a free straight line. If the
-    straight line from the start is free, no path is searched, which would take as long as two frames.
+    straight line from the start is free, no path is searched, because a search takes as long as two frames.
 
     Args:
         grid: occupancy grid of the scene.

@@ -86,7 +86,7 @@ class Leg:
 
 
 def interpolate(place: float, places: list[float], values: list[float]) -> float:
-    """Returns the value of `numpy.interp` at one place, the same bits; for a single place this is faster."""
+    """Returns the value of `numpy.interp` at one place, bit for bit; for a single place, this function is faster."""
     before = bisect_right(places, place) - 1
     if before < 0 or before + 1 == len(places) or places[before] == place:
         return values[max(before, 0)]

@@ -18,13 +18,13 @@ Result = TypeVar("Result")
 def kept_with_grid(
     most: int,
 ) -> Callable[[Callable[[Grid, Unpack[Key]], Result]], Callable[[Grid, Unpack[Key]], Result]]:
-    """Returns a decorator that keeps the `most` results of a function that were used last for each grid.
+    """Returns a decorator that keeps, for each grid, the `most` results of a function that were used last.
 
     Args:
         most: number of results of a grid, at least 1. The oldest is freed before a new one is computed.
 
-    The further arguments of the function are hashable. Results must not refer to the grid: such a cycle is freed only
-    by the garbage collector.
+    The first argument of the function is a grid; its other arguments are hashable. Results must not refer to the grid:
+    such a cycle is freed only by the garbage collector.
     """
 
     def decorate(function: Callable[[Grid, Unpack[Key]], Result]) -> Callable[[Grid, Unpack[Key]], Result]:

@@ -30,11 +30,12 @@ _TURN_COST_M, _SPOT_TURN_COST_M = 0.02, 0.06
 _AHEAD_RAD = 0.44
 """Largest angle between the heading at the end of a path and the target's centroid, if it must be ahead, radians."""
 _MOVING_M = 0.15
-"""Distance outside the success region up to which such a path has no turn on the spot, metres."""
+"""Distance outside the success region up to which a path that must end with the target ahead has no turn on the
+spot, metres."""
 _NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
-"""Radius around the ends of the first distance field, used for starts within half of it, and the margin by which all
-estimates must stay below it, metres. The margin is larger than the distance of two cells that share a state of the
-search."""
+"""Limit of the first distance field, which is used for starts within half of it; and the margin by which the estimated
+cost of a path must be below the limit of its field, metres. The margin is larger than the distance of two cells that
+share a state of the search."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
 """Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 
@@ -130,7 +131,7 @@ def _search(
     max_expansions: int,
     limits_m: Iterable[float],
 ) -> tuple[Waypoint, ...] | None:
-    """Searches with the distances to the ends up to each limit in turn; the first search that suffices is the result.
+    """Searches with distances to the ends up to each limit in turn, and returns the first path that is found.
 
     The result equals that of a search with all distances, because poses beyond a limit are expanded after all others.
     """
@@ -145,7 +146,7 @@ def _search(
 
 
 _STRIDE = 1 << 16
-"""Larger than the number of cells of states in a column of any grid."""
+"""Larger than the number of cells of side `_CELL_M` in a column of any grid."""
 _ARCS = tuple(tuple((*move[:6], move.turn * _TURN_COST_M) for move in moves if move.length_m) for moves in MOVES)
 """Arcs from each heading: displacements, heading, length, and cost of the turn, metres of path."""
 _SPOT_TURNS = tuple(tuple(move.heading for move in moves if not move.length_m) for moves in MOVES)
@@ -164,7 +165,7 @@ def _expand(
     max_expansions: int,
     most_m: float,
 ) -> list[Waypoint] | None:
-    """Searches a path of an estimated cost of at most `most_m`, metres; `None` if there is none.
+    """Searches for a path with an estimated cost of at most `most_m`, metres; `None` if there is none.
 
     Free poses are more than a step from the edge of the grid, so that all indices are valid.
     """

@@ -32,7 +32,7 @@ class SimulationOrder(Model):
     attachment_path: Path | None = None
     """Path of the task's attachment, already fetched and checked."""
     states: States | None = None
-    """States recording of the episode; its frames are rendered instead of a simulation."""
+    """States recording of the episode; the process renders its frames and does not simulate."""
 
 
 class BuildTask(Model):

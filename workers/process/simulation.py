@@ -29,7 +29,8 @@ class ProcessEnd:
     detail: str
     """Explanation with the exit status and the last output."""
     is_killed: bool = False
-    """Whether SIGKILL ended the process: the kernel without free memory, or a batch system that ends the worker too."""
+    """Whether SIGKILL ended the process. The kernel sends it if memory is exhausted; a batch system sends it and ends
+    the worker too."""
 
 
 class Simulation:

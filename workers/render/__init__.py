@@ -161,7 +161,7 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
         """Returns the image of a camera of a rig, without noise, for a pose of base_link.
 
         Args:
-            camera: any camera; it needs not be the loaded one.
+            camera: any camera; it need not be the loaded one.
             pose: pose of base_link in the world.
 
         Raises:

@@ -110,7 +110,7 @@ def may_reach(facts: NDArray[np.float64], optical: OpticalPose, edges: Edges, de
     ends = np.array(((0, 0, 0), (left, top, 1), (left, bottom, 1), (right, top, 1), (right, bottom, 1))) * depth_m
     corners = ends @ optical.rotation.T + optical.eye
     low, high = corners.min(axis=0)[:, None], corners.max(axis=0)[:, None]
-    may = (np.abs(facts[:3] - (low + high) / 2) <= facts[3:6] + (high - low) / 2).all(axis=0)  # by the world's axes
+    may = (np.abs(facts[:3] - (low + high) / 2) <= facts[3:6] + (high - low) / 2).all(axis=0)  # along the world's axes
     if may.any():
         inwards = np.array(((1.0, 0.0, -left), (-1.0, 0.0, right), (0.0, 1.0, -top), (0.0, -1.0, bottom)))
         planes = inwards @ optical.rotation.T

@@ -116,7 +116,7 @@ class GlRenderer(Closing):
         self._require_own_process()
         with self._context:
             self._shelf.make_room()
-        if not self._shelf.keys:  # the selected scene is the one used last, so it is freed with all others only
+        if not self._shelf.keys:  # the selected scene was used last, so it is freed only if all are
             self._scene = None
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
@@ -135,7 +135,7 @@ class GlRenderer(Closing):
             target = self._target(image.width, image.height)
             target.begin()
             scene.draw(view.drawn, view.matrix)
-            self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
+            self._context.finish()  # separates rendering from copying in profiles; reading would wait anyway
             self._timer("render")
             rgb = target.read_colour()
             depth_and_ids = target.read_depth_and_ids(image, rgb)

@@ -90,7 +90,7 @@ class GlTarget:
         self._images.viewport = _guarded(face.top, view.width, view.height)
 
     def read_colour(self, channels: int = 3) -> NDArray[np.uint8]:
-        """Returns (height, width, channels) colour; undefined without a surface, until `read_depth_and_ids`."""
+        """Returns (height, width, channels) colour, undefined without a surface; `read_depth_and_ids` makes it 0."""
         width, height = self._shape
         rgb = np.empty((height, width, channels), np.uint8)
         self._images.read_into(rgb, components=channels, attachment=0)

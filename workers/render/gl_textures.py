@@ -1,4 +1,4 @@
-"""Texture arrays of scenes on the graphics device. Layers that another scene has there are copied with their mipmaps.
+"""Texture arrays of scenes on the graphics device. Layers of another scene are copied with their mipmaps.
 
 Generating the mipmaps of a layer takes 3 ms of CPU time with llvmpipe, and the layouts of a family share most layers.
 moderngl has no function that copies between textures, so that three functions of OpenGL are called directly.
@@ -49,8 +49,8 @@ class TextureStore:
     def upload(self, layers: Sequence[Layer]) -> LayerArray:
         """Returns an array with layers (512, 512, 3); rows are reversed, because v = 0 is the bottom row.
 
-        Only the nearest mipmap is sampled: interpolation between two mipmaps gives the same image quality here and
-        takes as long as the light map.
+        Only the nearest mipmap is sampled: interpolation between two mipmaps would not improve the image quality here,
+        and would take as much additional time as the light map.
         """
         layers = layers or (np.full((1, 1, 3), 255, np.uint8),)
         sources = self._find(layers)
@@ -64,7 +64,7 @@ class TextureStore:
         return stored
 
     def _find(self, layers: Sequence[Layer]) -> list[tuple[moderngl.TextureArray, int] | None]:
-        """Returns for each layer an array that contains it, and its place there."""
+        """Returns for each layer an array that contains it, and its index in that array; `None` for new layers."""
         known: dict[int, tuple[moderngl.TextureArray, int]] = {}
         for stored in self._arrays:
             for place, reference in enumerate(stored.layers):
@@ -87,7 +87,7 @@ class TextureStore:
     ) -> moderngl.TextureArray:
         """Returns a new array with the layers, copied from other arrays as far as possible."""
         height, width, _ = layers[0].shape
-        array = self._context.texture_array((width, height, 1), 3)  # replaced by storage for all levels
+        array = self._context.texture_array((width, height, 1), 3)  # `allocate` gives it storage for all levels
         levels = max(width, height).bit_length()
         gl = self._functions
         array.use(0)

@@ -21,11 +21,11 @@ F64 = NDArray[np.float64]
 
 _LEAST_AREA_M2 = 0.5
 """Smallest area of an occluder, square metres; smaller ones hide too few parts. The boxes in a rack are larger and hide
-those of the next rack."""
+the boxes of the next rack."""
 _MOST_ASKED = 16
 """Largest number of occluders tested per frame; those with the largest image area are selected."""
 _SAME_M = 1e-4
-"""Largest distance between equal corners, metres."""
+"""Largest distance between two corners that count as equal, metres."""
 _MARGIN_M = 0.005
 """Distance by which a box must be inside the shadow of an occluder, metres; larger than rounding errors and the
 resolution of the depth buffer."""
@@ -97,15 +97,15 @@ class Occluders:
         return np.asarray(within.any(axis=0))
 
     def _shadows(self, optical: OpticalPose, view: Perspective) -> tuple[F64, F64]:
-        """Returns the planes of the shadows: (5 R, 3) normals that point inside and (5 R,) offsets, the first plane of
-        all R rectangles first.
+        """Returns the planes of the shadows: (5 R, 3) normals that point inside and (5 R,) offsets, first the first
+        planes of all R rectangles, then the second planes, and so on.
 
         A shadow is the space behind the rectangle and between the four planes through the eye and its edges. The plane
         through the eye e and an edge from p to q has the normal (q - e) x (p - e) = q x p + e x (q - p).
         """
         chosen = self._choose(optical, view)
         x, y, z = optical.eye.tolist()
-        times_eye = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))  # v @ it is the cross product of e and v
+        times_eye = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))  # v @ times_eye = e x v
         moments, edges = self._edges
         sides = moments[chosen] + edges[chosen] @ times_eye
         sides /= np.sqrt(np.einsum("rpk,rpk->rp", sides, sides))[:, :, None]
@@ -134,7 +134,7 @@ def _are_large(triangles: F64) -> NDArray[np.bool_]:
 
 
 def _rectangles(first: NDArray[np.float64], second: NDArray[np.float64]) -> F64:
-    """Returns (R, 4, 3) corners of the large pairs of triangles that form a rectangle, in the order of the first one.
+    """Returns (R, 4, 3) corners of the large pairs of triangles that form a rectangle, with the winding of the first.
 
     Args:
         first: (N, 3, 3) corners of the first triangles.

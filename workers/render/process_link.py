@@ -97,7 +97,7 @@ class RenderingProcess:
     def release_in_fork(self) -> None:
         """Releases the handle in a fork of the owner, without ending the process."""
         self._end.detach()
-        self._process.returncode = 0  # it is not a child of the fork, which cannot wait for it
+        self._process.returncode = 0  # the process is not a child of the fork, so the fork cannot wait for it
         self._socket.close()
         self._scene.close()
 
@@ -181,7 +181,7 @@ def _start(
 def _environment(kept_scenes: int) -> dict[str, str]:
     """Returns the environment for rendering on one core, or with the number of threads that the user set for Mesa.
 
-    A process that keeps more scenes than a simulation is expected to prepare many of them.
+    With more than the default number of scenes, the process is expected to prepare many scenes in turn.
     """
     chosen = {name: os.environ[name] for name in ("LP_NUM_THREADS",) if name in os.environ}
     return {**one_core(os.environ, many_scenes=kept_scenes > KEPT_SCENES), **chosen}

@@ -150,6 +150,6 @@ void main() {
     "3f4 20x 1u2 2x",
     ("position", "instance"),
 )
-"""Shaders for normals of the triangles in the world frame, towards the camera: 12 bits for each of the two coordinates
-of the octahedral map in the 24 bits of a colour, which is 0.03 degrees (Z. H. Cigolle et al., "A Survey of Efficient
-Representations for Independent Unit Vectors", JCGT 3(2), 2014)."""
+"""Shaders for normals of the triangles in the world frame, towards the camera. The 24 bits of a colour store the two
+coordinates of the octahedral map with 12 bits each, which corresponds to 0.03 degrees (Z. H. Cigolle et al., "A Survey
+of Efficient Representations for Independent Unit Vectors", JCGT 3(2), 2014)."""

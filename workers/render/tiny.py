@@ -74,7 +74,7 @@ class TinyRenderer(Closing):
     def make_room(self) -> None:
         """Frees the prepared scenes that the next new scene replaces; see `Renderer`."""
         self._shelf.make_room()
-        if not self._shelf.keys:  # the selected scene is the one used last, so it is freed with all others only
+        if not self._shelf.keys:  # the selected scene was used last, so it is freed only if all are
             self._scene = None
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:

@@ -54,10 +54,10 @@ def channel_gains(noise: ColourNoise, key: NoiseKey) -> tuple[float, float, floa
 
 @functools.lru_cache(maxsize=_KEPT_TABLES)
 def _recorded(noise: ColourNoise, gain: float) -> NDArray[np.uint8]:
-    """Returns the recorded code (65536,) for each code without noise, times 256, plus a uniform random number.
+    """Returns a table (65536,) of recorded codes; its index is 256 times the code without noise plus a random byte.
 
-    The linear camera model of EMVA Standard 1288, release 4.0, Sec. 2: the variance of the electrons is their number,
-    the shot noise, plus the square of the read noise.
+    Uses the linear camera model of EMVA Standard 1288, release 4.0, Sec. 2: the variance of the electrons is their
+    number (shot noise) plus the square of the read noise.
     """
     white = noise.full_well_e / 10 ** (noise.gain_db / 20)
     electrons = white * gain * linear_of_codes()

@@ -21,10 +21,10 @@ _EDGE_PX = 1.0
 _BAND = 64
 """Rows that are computed at once, a multiple of 4, so that intermediate values stay in the cache of the processor."""
 _LEAST_PX = np.float32(1e-6)
-"""Disparity that replaces those at and below 0, which give no measurement, pixels."""
+"""Positive disparity that replaces disparities of 0 and less, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
-"""Holes consist of square blocks: their side, pixels. The field of holes is interpolated between random values: their
-distance, blocks."""
+"""Side of the square blocks that holes consist of, pixels; and distance between the random values from which the field
+of holes is interpolated, blocks."""
 
 
 def noisy_depth(
@@ -75,8 +75,8 @@ def noisy_disparity(disparity: Singles, std_px: float, step_px: float, drawn: ND
 
     A disparity d = f b / z with the standard deviation s gives z a standard deviation of z^2 s / (f b) (K. Khoshelham
     and S. O. Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2),
-    2012; A. Grunnet-Jepsen et al., "Tuning depth cameras for best performance", Intel RealSense). The rounding is that
-    of A. Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM", ICRA 2014.
+    2012; A. Grunnet-Jepsen et al., "Tuning depth cameras for best performance", Intel RealSense). The rounding follows
+    A. Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM", ICRA 2014.
 
     Args:
         disparity: (H, W) disparity without noise, pixels.
@@ -97,7 +97,8 @@ def noisy_disparity(disparity: Singles, std_px: float, step_px: float, drawn: ND
 def shifted(depth: Singles, std_px: float, key: NoiseKey, step: int) -> Singles:
     """Returns depth (H, W) read at randomly displaced pixels, which makes the outlines of objects rough.
 
-    Handa et al. 2014 and J. T. Barron and J. Malik, "Intrinsic scene properties from a single RGB-D image", CVPR 2013.
+    The method is described by Handa et al. 2014 and J. T. Barron and J. Malik, "Intrinsic scene properties from a
+    single RGB-D image", CVPR 2013.
     The displacement is rounded to whole pixels, and the pixels at the border are displaced inwards.
     """
     if not std_px:
@@ -144,7 +145,7 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     pixels = np.flatnonzero(columns[:-1] >= columns[1:])
     pixels = pixels[(pixels + 1) % width > 0]
     nearer = columns[pixels + 1]
-    while len(pixels):  # a surface hides pixels one after the other to its left, up to the first that is left of it
+    while len(pixels):  # a surface hides consecutive pixels to its left, up to one whose column is farther left
         found[pixels] = True
         has_left = pixels % width > 0
         pixels, nearer = pixels[has_left] - 1, nearer[has_left]
@@ -177,7 +178,7 @@ def _is_bent(image: Singles, half: int) -> Bools:
 
 
 def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Bools:
-    """Returns an image (H, W) with random spots of about 16 pixels, as where a matcher finds no texture."""
+    """Returns an image (H, W) with random spots of about 16 pixels, as in regions without texture."""
     height, width = shape
     values = _smooth_noise((-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)), key, step)
     spots = values < _hole_level(share)
@@ -185,7 +186,7 @@ def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Boo
 
 
 def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
-    """Returns (H, W) values interpolated between random numbers: whole numbers below 2^24, which float32 adds
+    """Returns (H, W) values interpolated between random numbers. They are whole numbers below 2^24, which float32 adds
     exactly."""
     height, width = shape
     coarse = key.bits(Effect.HOLES, (-(-height // _HOLE_BLOCKS) + 1, -(-width // _HOLE_BLOCKS) + 1), step) >> 8
@@ -193,7 +194,7 @@ def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
 
 
 def _interpolated(values: Singles, side: int) -> Singles:
-    """Returns rows (side, N) between rows (M, N) at a distance of `_HOLE_BLOCKS`, multiplied by `_HOLE_BLOCKS`."""
+    """Returns rows (side, N), interpolated between rows (M, N) that are `_HOLE_BLOCKS` apart, times `_HOLE_BLOCKS`."""
     share = np.arange(_HOLE_BLOCKS, dtype=np.float32)[:, None]
     between = values[:-1, None] * (_HOLE_BLOCKS - share) + values[1:, None] * share
     return between.reshape(-1, values.shape[1])[:side]
@@ -201,6 +202,6 @@ def _interpolated(values: Singles, side: int) -> Singles:
 
 @functools.lru_cache(maxsize=64)
 def _hole_level(share: float) -> float:
-    """Returns the threshold below which this share of the values of `_smooth_noise` is."""
+    """Returns a threshold such that this share of the values of `_smooth_noise` is below it."""
     values = np.sort(_smooth_noise((512, 512), NoiseKey(0, 0, ""), 0), axis=None)
     return float(values[round(share * (values.size - 1))]) + (share == 1)

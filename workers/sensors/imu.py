@@ -25,7 +25,7 @@ GRAVITY_MPS2 = 9.81
 
 @dataclass(frozen=True)
 class ImuMeasurements:
-    """Measurements of an episode in the sensor frame; N is every `stride`-th control step from the first."""
+    """N measurements of an episode in the sensor frame, one at every `stride`-th control step from the first."""
 
     angular_velocity: Singles
     """(N, 3) mean angular velocity since the previous measurement, rad/s."""
@@ -78,8 +78,8 @@ def specific_forces(positions: Floats, frames: Floats, rate_hz: float) -> Floats
     """Returns specific forces (N, 3) in the sensor frame, m/s2.
 
     The acceleration is the second difference of the positions (N, 3) of the sensor, so that it contains the centripetal
-    and tangential acceleration of the lever arm; it belongs to the previous measurement, with whose rotation (N, 3, 3)
-    it is turned. Before the first pose the robot is at rest.
+    and tangential acceleration of the lever arm. It is the acceleration at the previous position, so the rotation
+    (N, 3, 3) at that position converts it to the sensor frame. Before the first pose the robot is at rest.
     """
     start = positions[:1]
     path = np.concatenate((start, start, positions))
@@ -92,8 +92,9 @@ def specific_forces(positions: Floats, frames: Floats, rate_hz: float) -> Floats
 def imu_errors(noise: ImuNoise, count: int, rate_hz: float, key: NoiseKey) -> Floats:
     """Returns the errors (count, 6) of gyroscope, rad/s, and accelerometer, m/s2: bias plus white noise.
 
-    White noise has the standard deviation density x sqrt(rate), and a step of the bias walk / sqrt(rate) (Kalibr, "IMU
-    noise model"; N. Trawny and S. I. Roumeliotis, "Indirect Kalman filter for 3D attitude estimation", 2005, Sec. 2.1).
+    The standard deviation of the white noise is its density x sqrt(rate); that of a step of the bias is its random walk
+    / sqrt(rate) (Kalibr, "IMU noise model"; N. Trawny and S. I. Roumeliotis, "Indirect Kalman filter for 3D attitude
+    estimation", 2005, Sec. 2.1).
     """
     normals = key.normals(Effect.IMU_STEPS, (count, 2, 6)).astype(np.float64)
     white = normals[:, 0] * _per_axis(noise.gyro_white, noise.accelerometer_white) * math.sqrt(rate_hz)

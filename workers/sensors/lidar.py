@@ -36,7 +36,7 @@ class RayCaster(Protocol):
     """Ray caster of a scene."""
 
     def nearest(self, origins: Floats, directions: Floats, reach_m: float) -> RayHits:
-        """Returns what N rays hit first.
+        """Returns the first hit of each of N rays.
 
         Args:
             origins: (N, 3) positions in the world, metres.

@@ -31,7 +31,7 @@ class CameraObservation(NamedTuple):
     rgb: NDArray[np.uint8] | None = None
     """(height, width, 3) sRGB, top row first."""
     depth: NDArray[np.float32] | None = None
-    """(height, width) metres, axial or radial as the camera has it; 0 where no surface was hit."""
+    """(height, width) metres, axial or radial as the camera defines; 0 where no surface was hit."""
     ids: NDArray[np.uint16] | None = None
     """(height, width) instance ids, described by `Episode.instances`; 0 is background."""
     normals: NDArray[np.float32] | None = None

@@ -1,4 +1,4 @@
-"""Wheel odometry of a differential drive: encoder ticks of the commanded twists, and the pose that they give.
+"""Wheel odometry of a differential drive: encoder ticks from the commanded twists, and the pose from the ticks.
 
 Computes a whole episode; a prefix of an episode gives a prefix of the measurements.
 """
@@ -19,7 +19,7 @@ from workers.sensors.streams import Effect, NoiseKey
 
 @dataclass(frozen=True)
 class OdometryMeasurements:
-    """Measurements of an episode; N is every `stride`-th control step from the first."""
+    """N measurements of an episode, one at every `stride`-th control step from the first."""
 
     ticks: Ints
     """(N, 2) encoder counts of the left and the right wheel since the start."""
@@ -33,8 +33,8 @@ def sense_odometry(odometry: WheelOdometry, twists: Floats, control_hz: int, key
     """Returns the measurements of the wheel encoders in an episode.
 
     The motors turn the wheels as commanded, and the tyres slip on the floor: in PyBullet the wheel joints follow the
-    commands to 2 mm over a drive of 4 m, while the robot drives 0.4 % less far. So the commands give the ticks, and the
-    recorded poses contain the slip of the simulation.
+    commands to 2 mm over a drive of 4 m, while the robot drives 0.4 % less far. So the ticks are computed from the
+    commands; only the recorded poses contain the slip of the simulation.
 
     Args:
         odometry: nominal dimensions of the drive, ticks of the encoders, and noise.
@@ -60,7 +60,7 @@ def wheel_travels(moves: Floats, track_m: float) -> Floats:
     """Returns how far the left and the right wheel roll before each step (T, 2), metres.
 
     Args:
-        moves: (T, 2) forward distance, metres, and turn, radians, during each step; the last has no later measurement.
+        moves: (T, 2) forward distance, metres, and turn, radians, during each step; the last one is not used.
         track_m: distance between the wheels, metres.
     """
     before = np.concatenate((np.zeros((1, 2)), moves[:-1]))

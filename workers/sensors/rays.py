@@ -1,4 +1,4 @@
-"""Rays against what the renderers draw of a scene: front faces of all parts, without the robot. Opens no scene."""
+"""Casts rays against the triangles that renderers draw: front faces of all parts, without the robot. Opens no scene."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from workers.geometry.rays import Caster
 from workers.sensors.lidar import RayHits
 
 _SAME_M = np.float32(1e-4)
-"""Distance below which two faces are at one place, metres."""
+"""Distance below which two faces count as being at the same place, metres."""
 _BEHIND_M = np.geomspace(1e-4, 1e-2, 16)
-"""Distance behind the first, second, ... back face from which a ray continues, metres. It grows, so that a ray that
-grazes a face leaves it; a ray that meets more of them hits nothing."""
+"""Distance behind the first, second, ... back face from which a ray continues, metres. The distance grows, so that
+a ray that grazes a face gets past it. A ray that meets more back faces than this hits nothing."""
 _TILTED = np.array((0.58, 0.21, 0.79))
 """Direction that is not parallel to the faces of usual objects."""
 
@@ -36,7 +36,7 @@ class SceneRays:
         self._caster = Caster(triangles)
 
     def nearest(self, origins: Floats, directions: Floats, reach_m: float) -> RayHits:
-        """Returns what N rays hit first, see `RayCaster`.
+        """Returns the first hit of each of N rays; see `RayCaster`.
 
         A renderer draws front faces only, so a ray passes through a back face. Embree finds the triangle; the distance
         is computed from its plane in float64, so that it does not depend on the processor.

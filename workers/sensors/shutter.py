@@ -18,10 +18,10 @@ _LIGHT_LEVELS = 1 << 16
 
 
 def shutter_offsets(noise: ColourNoise, control_hz: int) -> Floats:
-    """Returns the times (K,) of the images that an image needs, control steps relative to its own, at most 0.
+    """Returns the times (K,) of the images that are mixed into one image, in control steps relative to it, at most 0.
 
-    One time, 0, without motion blur and rolling shutter. The exposure of the last row ends at the control step itself,
-    so that an image depends on no later pose.
+    Without motion blur and rolling shutter, the only time is 0. The exposure of the last row ends at the control step
+    itself, so that an image does not depend on later poses.
     """
     duration = noise.motion_blur_s + noise.rolling_shutter_s
     if not duration:

@@ -69,7 +69,7 @@ class NoiseKey:
         return self.stream(effect, step)(shape)
 
     def stream(self, effect: Effect, step: int = 0) -> Callable[[int | tuple[int, ...]], NDArray[np.uint16]]:
-        """Returns a function that gives the numbers of `bits` in parts; all parts but the last have a multiple of 4."""
+        """Returns a function that returns the numbers of `bits` in parts, all but the last of a multiple of 4."""
         philox = np.random.Philox(key=_philox_key(self), counter=(0, 0, int(effect), step))
 
         def draw(shape: int | tuple[int, ...]) -> NDArray[np.uint16]:
@@ -84,7 +84,7 @@ class NoiseKey:
         return normal_of(self.bits(effect, shape, step))
 
     def is_below(self, share: float, effect: Effect, shape: int | tuple[int, ...], step: int = 0) -> Bools:
-        """Returns values that are true with the probability `share`, to 1 / 65536; see `bits`."""
+        """Returns values that are true with the probability `share`, in steps of 1 / 65536; see `bits`."""
         return np.asarray(self.bits(effect, shape, step) < round(share * LEVELS))
 
 

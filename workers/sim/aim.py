@@ -1,4 +1,4 @@
-"""Determines target and sentence of an episode at its start, and tests the view there. Draws no start."""
+"""Determines target and sentence of an episode at its start, and tests the view there. Draws no start pose."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple
 def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
     """Returns the target and the sentence of an episode that starts at a pose.
 
-    If the target is drawn at the start, each object that could be the target must have a sentence and a path, so that
-    neither of both makes one of them more likely.
+    If the target is drawn at the start, each object that could be the target must have a sentence and a path.
+    Otherwise, objects for which these are easier to find would be targets more often.
 
     Args:
         job: job of the episode.
@@ -86,8 +86,8 @@ def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
         pose: pose of base_link at rest, whose view is clear.
 
     Returns:
-        Target and sentence; `None` if a sentence also fits other objects, or an object that could be the target has no
-        path, or a path whose end does not show it.
+        Target and sentence; `None` if a sentence also fits other objects, or if an object that could be the target has
+        no path or is not in view at the end of its path.
     """
     if job.choice is None:
         said = write_instruction(job, place, pose)
@@ -101,7 +101,7 @@ def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
 def _exchangeable_aim(
     job: Job, target: Target, targets: tuple[Target, ...], place: LoadedScene, renderer: Renderer, pose: Pose
 ) -> EpisodeAim | None:
-    """Returns one of the targets with its sentence; `None` if it has no sentence, path or view at the end of it."""
+    """Returns the aim with this target; `None` if it has no sentence or path, or is not in view at the path's end."""
     own = job.aimed_at(target)
     said = write_instruction(own, place, pose)
     planned = None if said is None else make_expert(own).begin(pose, place.grid, target)

@@ -1,6 +1,4 @@
-"""Shows the appearance of an episode to a renderer: the changed scene, and the cameras with their change. Draws no
-frame.
-"""
+"""Draws the appearance of an episode, and loads its changed scene and cameras into a renderer. Renders no frame."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ class RenderedScene(NamedTuple):
     place: LoadedScene
     """Scene with its appearance; the collider is that of the scene without clutter."""
     renderer: Renderer
-    """Renderer with that scene loaded, whose recorded camera has its change."""
+    """Renderer with that scene loaded; it applies the change of the cameras to the recorded camera."""
     drawn: DrawnAppearance | None = None
     """Factors of the episode; `None` if the appearance is not varied."""
 

@@ -60,7 +60,7 @@ Outcome = Success | AttemptFailure
 
 @dataclass(frozen=True)
 class _Attempt:
-    """Data of the start at which an attempt drives."""
+    """Data of an attempt whose start pose was accepted."""
 
     aim: EpisodeAim
     place: LoadedScene

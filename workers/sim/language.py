@@ -1,4 +1,4 @@
-"""Writes the verified instruction of a job at the start of its episode, and questions at its end. Draws no start."""
+"""Writes the verified instruction of a job at the start of its episode, and questions at its end."""
 
 from __future__ import annotations
 

@@ -36,14 +36,14 @@ def render_recording(
 
     Raises:
         InvalidBundle: the recording is damaged.
-        WorldError: the recording is of another job, or this renderer gives other frames than the recorded ones.
+        WorldError: the recording is of another job, or the frames of this renderer differ from the recorded ones.
     """
     with BundleReader(io.BytesIO(states)) as recorded:
         _require_job(recorded.meta.job, job)
         place = stage.loaded(job.scene_sha256)
         shown = show_appearance(job, job.view.appearance, place, stage.renderer, recorded.arrays.poses)
         writer = BundleWriter(out, stage.timer)
-        sampled = recorded.meta.sampled_digests if shown.drawn is None else {}  # those of the scene as compiled
+        sampled = recorded.meta.sampled_digests if shown.drawn is None else {}  # sampled without variation
 
         def check(count: int) -> None:
             t = count - 1
@@ -60,7 +60,7 @@ def render_recording(
 
 
 def _require_job(recorded: Job, job: Job) -> None:
-    """Raises `WorldError` unless a recording is of the job, apart from the plan, whose `record` and view differ."""
+    """Raises `WorldError` unless a recording is of the job; record, view, plan and run may differ."""
     of_plan = {"record": job.record, "view": job.view, "plan_digest": job.plan_digest, "run": job.run}
     if recorded.record is not Recording.STATES or recorded.model_copy(update=of_plan) != job:
-        raise WorldError(f"{job.episode_id}: the states are of another job: give the dataset that was recorded")
+        raise WorldError(f"{job.episode_id}: the states are of another job: render the dataset that contains this job")

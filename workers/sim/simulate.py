@@ -77,7 +77,7 @@ def _serve(order: SimulationOrder, stage: SceneRenderer, send: SendReport) -> bo
     except FactoryError as error:
         report = failure(FailReason.CRASH, str(error), progress.step, progress.seconds())
     except OSError as error:
-        # the job does not cause a full disk
+        # a full disk is not a failure of the job
         reason = FailReason.RELEASED if error.errno in _DISK_FULL else FailReason.CRASH
         report = failure(reason, _last_line(error), progress.step, progress.seconds())
     except Exception as error:  # noqa: BLE001 - the worker loop: reported, and the process exits

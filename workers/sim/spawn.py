@@ -33,9 +33,9 @@ _BEARINGS = 384
 _DISTANCE_STREAM = 1
 """Key of the random stream of the distances of an episode with blind draws."""
 _PREDICTIONS = 32
-"""Largest number of starts, in the near and mid tiers at one distance, whose view is examined and, for an expert that
-drives straight, whose path is predicted; if none has `_PREDICTION_MARGIN_M`, the one with the most free space is
-selected."""
+"""Largest number of starts whose view is tested, in the near and mid tiers at one distance. For an expert that drives
+straight, also the largest number whose path is predicted; if none has `_PREDICTION_MARGIN_M`, the start with the most
+free space is selected."""
 _REJECTIONS = 256
 """A draw ends after this number of valid starts whose view was rejected."""
 _PREDICTION_MARGIN_M = 0.10
@@ -60,8 +60,8 @@ def draw_poses(
     towards the target plus noise; draws another distance only if none of `_BEARINGS` is free. So obstacles reject
     bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point at a
     distance along the floor within `job.spawn.far_floor_m`, and a uniform heading. For experts that drive straight,
-    `job.spawn.screening` sets further conditions. The planner starts at any such pose that sees its target (far: whose
-    path is not too long).
+    `job.spawn.screening` sets further conditions. The planner starts at any such pose from which, in the near and mid
+    tiers, it sees its target or, in the far tier, its path is not too long.
 
     Args:
         job: gives tier, expert and spawn settings.
@@ -119,7 +119,7 @@ def _draw_on_grid(
 def _draw_fitting(
     job: Job, target: Target, place: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
 ) -> Iterator[Start]:
-    """Yields valid starts; in the near and mid tiers, those at the first distance that has one."""
+    """Yields valid starts; in the near and mid tiers, only those at the first distance with a valid start."""
     surveyed = surveyed_points(job, target, place) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
         return
@@ -143,8 +143,8 @@ def _draw_fitting(
 def _distance_stream(job: Job, rng: np.random.Generator) -> np.random.Generator:
     """Returns the generator of the distances: with blind draws, one that all attempts at an episode share.
 
-    Blind attempts from a large distance fail more often. Without this, the archived distances would be shorter than
-    those of the tier (docs/design/starts.md#screening).
+    Blind attempts from a large distance fail more often. Without a shared stream, the archived distances would be
+    shorter than those of the tier (docs/design/starts.md#screening).
     """
     if job.expert is ExpertName.PLANNER or job.spawn.needs_free_line:
         return rng
@@ -211,7 +211,7 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
     if job.expert is ExpertName.PLANNER:
         table = pose_table(place.grid, job.planner.tight_margin_m)
         tests.append(lambda at: np.array([table.holds(place.grid, *pose) for pose in at], bool))
-    if job.tier is Tier.FAR:  # its points were selected by their lines
+    if job.tier is Tier.FAR:  # `surveyed_points` has tested free lines
         tests.append(lambda at: np.array([_is_far(job, target, place, pose[:2]) for pose in at], bool))
     elif job.expert is ExpertName.PLANNER or job.spawn.screening is not Screening.NONE:
         tests.append(lambda at: place.grid.have_sight(at[:, :2], target))

@@ -57,7 +57,7 @@ class BuiltinScene:
         lay_out: function that fills a floor plan.
         metres_per_unit: length of a unit in the written stage, metres.
         first_draw: number of the first random plan of a seed; chosen so that seed 0 has all categories.
-        others: categories besides those of `BUILTIN_CATEGORIES` that many layouts have, and a plan can name.
+        others: categories that many layouts have and a plan can name, in addition to those of `BUILTIN_CATEGORIES`.
     """
 
     name: str
@@ -147,8 +147,8 @@ def author_content(scene: BuiltinScene, seed: int) -> Extraction:
 
 
 def lay_out_scene(scene: BuiltinScene, seed: int) -> FloorPlan:
-    """Returns the floor plan of a scene without writing it: the first of a few that has rooms, a thing of each category
-    and a way for the robot to every room.
+    """Returns the floor plan of a scene without writing it: the first of a few random plans that has rooms, an object
+    of each category and a way for the robot to every room.
 
     Raises:
         WorldError: the seed has no such plan; another seed has one.
@@ -166,4 +166,6 @@ def lay_out_scene(scene: BuiltinScene, seed: int) -> FloorPlan:
         if fault is None:
             return plan
         faults.append(fault)
-    raise WorldError(f"{faults[-1]}, the last of {_DRAWS} plans; use another seed")
+    raise WorldError(
+        f"none of {_DRAWS} random floor plans is valid; fault of the last one: {faults[-1]}; use another seed"
+    )

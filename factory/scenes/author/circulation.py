@@ -22,17 +22,17 @@ _SPARE = (1.0, 1.3)
 """Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at
 least 1, because rooms in rows of unsuitable depth become larger than desired."""
 _RATIO = (0.75, 1.33)
-"""Smallest and largest factor between the ratio of width to depth of a building and that of the available floor."""
+"""Smallest and largest factor between width / depth of a building and width / depth of the available floor."""
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""Largest share of the possible change of the widths of a row that may be used to fill its length."""
+"""Largest share of the possible total change of the room widths that a row may use to fill its length."""
 _STEPS = 24
 """Number of bisections of the scale of a floor."""
 
 
 class RoomSpec(NamedTuple):
-    """Room of a building program: kind, desired floor and least side, metres."""
+    """Room of a building program: kind, desired floor area, square metres, and smallest side, metres."""
 
     kind: str
     area_m2: float
@@ -51,7 +51,7 @@ class Block(NamedTuple):
     specs: Specs
     rows: float = 0.0
     """Probability with which cuts across x, which form a row of rooms, are tried first; 1 for one row along the longer
-    side, whose rooms adapt their floor to its depth."""
+    side, whose rooms adapt their floor area to its depth."""
 
 
 class Arrangement(NamedTuple):
@@ -98,7 +98,7 @@ def spine_hall(hall_m: float) -> Scheme:
 
 
 def straight_hall(hall_m: float) -> Scheme:
-    """Returns a scheme with a hall of a width, metres, along x from wall to wall, and a row of rooms on each side."""
+    """Returns a scheme with a hall along x from wall to wall, `hall_m` wide, and a row of rooms on each side."""
 
     def arrange(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement:
         k = len(specs) // 2 + int(rng.integers(len(specs) % 2 + 1))
@@ -190,8 +190,8 @@ def ring_hall(hall_m: float) -> Scheme:
 
 
 def _scaled(draw: Callable[[Generator], _Shape]) -> Scheme:
-    """Returns a scheme that draws a shape, scales it so that its blocks have the floor of the rooms, and deals the
-    rooms to the blocks. The floor gives the ratio of the sides and the lower corner."""
+    """Returns a scheme that draws a shape, scales it until its blocks have the floor area of the rooms, and distributes
+    the rooms to the blocks. The available floor determines only the ratio of the sides and the lower corner."""
 
     def arrange(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement | None:
         shape, total = draw(rng), sum(spec.area_m2 for spec in specs) * float(rng.uniform(*_SPARE))
@@ -213,8 +213,8 @@ def _scaled(draw: Callable[[Generator], _Shape]) -> Scheme:
 def row_widths(area: Rectangle, specs: Specs) -> list[float] | None:
     """Returns the widths of rooms in one row along the longer side of a block, metres; `None` if they do not fit.
 
-    A room has its desired floor where its least side and its proportions permit; what remains is given to all rooms, or
-    taken from all, in proportion to what they can change.
+    A room has its desired floor area where its smallest side and its proportions permit. The rest of the length is
+    added to, or taken from, the widths of all rooms in proportion to how much they can change.
     """
     depth, length = sorted((area.width, area.depth))
     low = [_least_width(spec, depth) for spec in specs]
@@ -231,7 +231,7 @@ def row_widths(area: Rectangle, specs: Specs) -> list[float] | None:
 
 
 def _suits(spec: RoomSpec, depth: float) -> bool:
-    """Returns whether a row of a depth can have a room without making it much larger than desired."""
+    """Returns whether a room fits into a row of a given depth without becoming much larger than desired."""
     return spec.least_m <= depth and _least_width(spec, depth) * depth <= _MOST_GROWTH * spec.area_m2
 
 
@@ -240,7 +240,7 @@ def _least_width(spec: RoomSpec, depth: float) -> float:
 
 
 def _width(spec: RoomSpec, depth: float) -> float:
-    """Returns the width of a room with the desired floor in a row of a depth, as its proportions permit, metres."""
+    """Returns the width of a room in a row of a given depth, metres: for its desired area, within its proportions."""
     return min(max(spec.area_m2 / depth, _least_width(spec, depth)), max(SLENDER * depth, spec.least_m))
 
 
@@ -260,7 +260,7 @@ def _moved(area: Rectangle, floor: Rectangle) -> Rectangle:
 
 
 def _deal(rng: Generator, specs: Specs, areas: Sequence[Rectangle]) -> list[Specs] | None:
-    """Deals the rooms to rows in the blocks, each to one in which its floor changes little; `None` if that fails."""
+    """Assigns rooms to rows in the blocks, each to a row in which its area changes little; `None` if that fails."""
     depths = [min(area.width, area.depth) for area in areas]
     spare = [max(area.width, area.depth) for area in areas]
     dealt: list[list[RoomSpec]] = [[] for _ in areas]

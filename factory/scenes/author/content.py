@@ -30,7 +30,7 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
     Args:
         plan: floor plan of the scene, metres.
         name: name of the scene.
-        made_from: description of all inputs of the plan, whose digest the content has.
+        made_from: description of all inputs of the plan; the content records its digest.
     """
     scene = Collector(name, USUAL_LIMITS)
     for structure in plan.structures:

@@ -138,7 +138,7 @@ class _Run(NamedTuple):
 
 
 def _wall_runs(areas: Sequence[Rectangle]) -> Iterator[_Run]:
-    """Yields all walls, each as long as the rooms on its sides stay the same."""
+    """Yields all walls; a wall ends where the room on one of its sides changes."""
     for is_along_x in (True, False):
         edges = [(a.y0, a.y1, a.x0, a.x1) if is_along_x else (a.x0, a.x1, a.y0, a.y1) for a in areas]
         for at in sorted({round(value, 6) for edge in edges for value in edge[:2]}):

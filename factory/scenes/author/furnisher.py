@@ -46,7 +46,7 @@ class Furnisher:
         return "".join(sorted(order, key=lambda side: side in self.room.doors))
 
     def model(self, name: str, variant: int | None = None) -> PropModel:
-        """Returns a model; a random variant if none is given, one of few in the building for names in `_FEW`."""
+        """Returns a model, by default of a random variant; a building uses few variants of the names in `_FEW`."""
         if variant is None:
             few = _FEW.get(name)
             variant = self.plan.pick(_VARIANTS) if few is None else self.palette.art + self.plan.pick(few)
@@ -73,7 +73,7 @@ class Furnisher:
         return None
 
     def is_wanted(self) -> bool:
-        """Returns whether a small thing is placed; draws only if the building does not have all of them."""
+        """Returns whether to place a small thing; draws a random number only if the probability is below 1."""
         return self.clutter >= 1.0 or bool(self.rng.random() < self.clutter)
 
     def on_top(
@@ -203,7 +203,7 @@ class Furnisher:
         return x, y
 
     def _stand(self, model: PropModel, side: str, start: float) -> PropPlacement:
-        """Places a piece of a row whose strip is free."""
+        """Places one piece of a row; the caller has tested that the strip of floor is free."""
         width = float(model.high[0] - model.low[0])
         x, y = self.at_wall(side, start + width / 2, float(model.high[1]) + 0.01)
         return self.plan.stand(model, x, y, FACING[side])

@@ -113,7 +113,7 @@ def kitchen_row(own: Furnisher, sides: str, look: int, names: Sequence[str], top
         own: room.
         sides: sides to try, in order.
         look: variant of the units.
-        names: units, in random order; a short wall has fewer plain ones.
+        names: units, placed in random order; without the plain units if no wall has room for all.
         tops: appliances for the first units.
     """
     order = [names[k] for k in own.rng.permutation(len(names))]

@@ -30,7 +30,7 @@ from schemas.errors import WorldError
 _TRIES, _OUTLINES = 600, 4
 """Divisions tried for one outline, and number of outlines of the same floor area."""
 _GIVE = (0.8, 1.25)
-"""Range of the factor by which the floor of a room may differ from its spec."""
+"""Range of the factor between the floor area of a room in one division and the area of its spec."""
 _END_M = 0.45
 """Least distance between an opening and the end of the common wall, metres."""
 
@@ -100,7 +100,7 @@ def divide_floor(
         if found is not None:
             return found
     size = f"{outline.width:.1f} x {outline.depth:.1f} m"
-    raise WorldError(f"no division of {size} into {len(specs)} rooms was found; use another seed")
+    raise WorldError(f"no division of {size} into {len(specs)} rooms was found")
 
 
 def _divide(rng: Generator, arrangement: Arrangement | None, doors: Doors) -> Division | None:
@@ -137,7 +137,7 @@ def _row(block: Block) -> list[Rectangle] | None:
 
 
 def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], rows: float) -> list[Rectangle] | None:
-    """Cuts a rectangle in two until each spec has a room of about its floor that suits it; `None` if that fails.
+    """Cuts a rectangle in two until each spec has a suitable room of about its floor area; `None` if that fails.
 
     `rows` is the probability with which cuts across x are tried first, so that the rooms form a row.
     """

@@ -50,7 +50,7 @@ _SURROUNDINGS = (
     ("ViewSnow",),
     ("ViewDesert",),
 )
-"""Views that a building can have to different sides; each view occurs once."""
+"""Groups of views that suit each other, for the sides of one building; each view is in one group."""
 
 
 class Finishes(NamedTuple):

@@ -36,7 +36,7 @@ def list_targets(
     floor_m: float,
     notes: list[str],
 ) -> tuple[Target, ...]:
-    """Returns the candidates that are reachable by a success measure as targets without colours, in path order.
+    """Returns the candidates that are reachable by any success measure, as targets without colours, in path order.
 
     Names number all candidates of a category, so that a target keeps its name when another becomes reachable.
 

@@ -37,10 +37,10 @@ _SUBSTANCES = MappingProxyType(
         "soil": "soil earth",
     }
 )
-"""Words of each substance, lower case. Words that are also colours, such as silver, are missing."""
+"""Words of each substance, lower case. Words that are also colours, such as silver, are not listed."""
 _BY_WORD = MappingProxyType({word: name for name, words in _SUBSTANCES.items() for word in words.split()})
 _IMITATION = frozenset(("fake", "faux", "imitation", "look", "effect", "like", "spines", "holder", "frame"))
-"""Words after which a name does not state the substance, as in fake leather or spines of leather books."""
+"""Words with which a name does not state the substance, as in fake leather or spines of leather books."""
 
 
 def substance_of(surface: Surface) -> str:
@@ -57,7 +57,7 @@ def substance_of(surface: Surface) -> str:
 
 
 def materials_of(parts: Sequence[Part], owners: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Returns the materials of each object: that of most of its surface, then others; objects without one are omitted.
+    """Returns the known materials of each object, that of most of its surface first; objects without one are omitted.
 
     Args:
         parts: visible parts.

@@ -76,10 +76,10 @@ class SceneFiles:
         self._faults.setdefault(reason, {}).setdefault(seen, user)
 
     def require_all(self, may_skip: bool = True) -> None:
-        """Checks that all references can be used; with `skip_missing` and `may_skip`, notes those to missing files.
+        """Checks that all references can be used; with `skip_missing` and `may_skip`, a missing file only adds a note.
 
         Raises:
-            WorldError: some cannot; the message names all.
+            WorldError: some references cannot be used; the message names all of them.
         """
         for reason in self._faults.keys() - {_OUTSIDE} if may_skip and self.scene.limits.skip_missing else ():
             lost = self._faults.pop(reason)

@@ -14,7 +14,7 @@ def numbers(text: str | None, default: Sequence[float]) -> list[float]:
     """Returns the numbers of a text separated by spaces, or the default for `None` and empty text.
 
     Raises:
-        ValueError: the text has another count of numbers than the default, or one is not finite.
+        ValueError: the text does not have as many numbers as the default, or one of them is not finite.
     """
     words = (text or "").split()
     if not words:

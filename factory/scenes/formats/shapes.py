@@ -106,8 +106,8 @@ def mesh_piece(
         surface: appearance.
         uvs: (T, 3, 2) texture coordinates.
         tints: (T, 3, 3) linear colours.
-        is_two_sided: whether back faces are visible; `None`, where a format does not state it, makes every mesh
-            two-sided that does not bound a volume.
+        is_two_sided: whether back faces are visible. `None`, for formats that do not state it, makes a mesh two-sided
+            unless it bounds a volume.
 
     Raises:
         ValueError: points are not finite, or a corner is out of range.
@@ -124,7 +124,7 @@ def mesh_piece(
 
 
 def display_colour(red: float, green: float, blue: float) -> Colour:
-    """Returns a linear colour of an sRGB colour, 0..1."""
+    """Converts an sRGB colour, 0..1, to a linear colour."""
     linear = linear_of(np.clip(np.array([red, green, blue], np.float64), 0.0, 1.0))
     return float(linear[0]), float(linear[1]), float(linear[2])
 

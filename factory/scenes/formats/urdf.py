@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _MOVABLE = ("revolute", "continuous", "prismatic")
 _READER_VERSION = "urdf 2"
-"""Changed when the same file is read as other parts."""
+"""Incremented when the reader returns other parts for the same file."""
 
 
 def read_urdf(path: Path, files: SceneFiles) -> None:

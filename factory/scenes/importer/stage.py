@@ -157,7 +157,7 @@ def _user_of(stage: Any, layer: Any) -> str:
 
 
 def find_unseen(scene: SceneStage) -> list[str]:
-    """Returns possible reasons why a stage is empty: the first prims that are inactive, invisible or of other purpose.
+    """Returns possible reasons why a stage is empty: the first prims that are inactive, invisible, guides or proxies.
 
     Args:
         scene: opened stage.

@@ -18,7 +18,7 @@ from schemas.support.vectors import cross
 _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
 _PLANE_STEP_M = 0.02
-_PLANE_SHIFT = 0.37  # walls and floors have round coordinates; the boundary between two planes must not
+_PLANE_SHIFT = 0.37  # so that walls and floors, at round coordinates, are not on the boundary of two planes
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _largest_of_each(of_triangle: Ints, areas: Floats) -> Ints:
 
 
 def _frames(triangles: Floats, normals: Floats) -> Floats:
-    """Returns frames along the second longest edge of each triangle: a side, because the longest may be a diagonal."""
+    """Returns frames along the second longest edge of each triangle; the longest may be the diagonal of a rectangle."""
     edges = np.roll(triangles, -1, axis=1) - triangles
     middle = np.argsort(np.linalg.norm(edges, axis=2), axis=1, kind="stable")[:, 1]
     along = edges[np.arange(len(edges)), middle]

@@ -75,7 +75,10 @@ def corner_normals(triangles: Floats, groups: Ints) -> Floats:
 
 
 def _pairs(vertex: Ints) -> tuple[Ints, Ints]:
-    """Returns all ordered pairs of corners that share a vertex, with self-pairs; only these for crowded vertices."""
+    """Returns all ordered pairs of corners that share a vertex, including self-pairs.
+
+    At vertices with more than `_MOST_AT_A_CORNER` corners, there are only self-pairs.
+    """
     order = np.argsort(vertex, kind="stable")
     counts = np.bincount(vertex)
     starts = np.cumsum(counts) - counts

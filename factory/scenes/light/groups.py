@@ -1,6 +1,6 @@
 """Bakes the light groups of a compiled scene: casts rays to each lamp group from the texels of its light map.
 
-Needs the package only. The light map does not change; the groups are its composition.
+Needs the package only. Does not change the light map; the result is the share of each group in its light.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from workers.geometry.rays import Caster
 _CEILING_GROUPS = 6
 """Largest number of groups of lamps that shine down."""
 _SCREEN_M2 = 0.6
-"""Area below which a bright surface at another angle is a screen."""
+"""Area below which a lamp that does not shine down is a screen, square metres; larger ones are windows."""
 _DOWN = -0.7
 _FULL = 255
 _INDIRECT = 0.7
 """Share of the ambient light that is light of the lamps from other surfaces; the rest comes from the sky."""
 _CHUNK = 1 << 14
 _OFF_SHARE = 0.03
-"""Share of the surface of a lamp that is light of the sky, so that a lamp that is off is not black."""
+"""Share of the sky in the light of the surface of a lamp, so that a lamp that is off is not black."""
 
 
 def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
@@ -87,7 +87,7 @@ def group_lamps(lamps: Lamps) -> list[Ints]:
 
 
 def _halves(lamps: Lamps, rows: Ints) -> list[Ints]:
-    """Divides lamps at the widest gap near the middle of their longer side."""
+    """Divides lamps into two groups of equal number along the longer side of their extent."""
     places = lamps.centre[rows, :2]
     along = places[:, int(np.argmax(np.ptp(places, axis=0)))]
     order = np.argsort(along, kind="stable")
@@ -167,7 +167,7 @@ def _shares(sky: Floats, lamps: Floats, bounced: Floats, known: Bools) -> Floats
 
 
 def _light_lamps(shares: Floats, members: list[Ints], lamps: Lamps, charts: Charts, owner: Ints, glow: Floats) -> None:
-    """Gives the light of the surfaces that emit light to the group of their lamp; other surfaces keep theirs."""
+    """Assigns the light of emitting surfaces to the group of the nearest lamp; other surfaces keep their shares."""
     group = np.concatenate([np.full(len(rows), number) for number, rows in enumerate(members, 1)])
     rows = np.concatenate(members)
     emitting = np.flatnonzero(glow > 0)

@@ -26,7 +26,7 @@ _COVER_M, _COVERED_SHARE = 0.03, 0.7
 _CHUNK = 1 << 13
 """Number of texels per batch; the working set of a batch fits the processor cache."""
 _LAMP_CHUNK = 1 << 12
-"""The same for the light of lamps, which has values for each lamp near a texel."""
+"""Number of texels per batch for the light of lamps, which needs values for each lamp near a texel."""
 
 Rays = tuple[int, int]
 """Number of rays of a texel on a flat chart and on a curved chart, multiples of `SPOTS`."""
@@ -83,8 +83,8 @@ def _sky(caster: Caster, texels: Texels, run: Ints, count: int) -> tuple[Singles
 
 
 def lamp_light(caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, rays: Rays) -> tuple[Floats, Floats]:
-    """Returns (N,) the unoccluded light of the lamps at each texel, and the share of it that reaches its spots that
-    count."""
+    """Returns (N,) the unoccluded light of the lamps at each texel, and (N,) the share of it that reaches the texel at
+    its spots that count."""
     middle = texels.middles
     cell = number_rows(np.column_stack((np.floor(middle / _CELL_M), texels.is_bent)).astype(np.int64))
     order = np.argsort(cell, kind="stable")
@@ -102,7 +102,7 @@ def lamp_light(caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, 
 def _lit(
     caster: Caster, texels: Texels, run: Ints, open_spots: Bools, lamps: Lamps, near: Ints, count: int
 ) -> tuple[Singles, Singles]:
-    """Samples the lamps `near` (L, N) by their unoccluded light, and points on them, and tests visibility."""
+    """Samples lamps of `near` (L, N) by their unoccluded light, and tests the visibility of points on these lamps."""
     spots, normals = texels.points[run], np.ascontiguousarray(texels.axes[run, 2].T, np.float32)
     points = np.ascontiguousarray(texels.middles[run].T, np.float32)
     reached = light_from(lamps, near, points, normals).cumsum(axis=0)

@@ -9,7 +9,7 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 
 _FILL_ROUNDS = 12
 _NOISE = 0.12
-"""Difference of averaged values from which they are not noise of few rays."""
+"""Difference of two values from which they are not averaged; smaller differences are noise of few rays."""
 
 
 def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
@@ -87,7 +87,10 @@ def _near(values: Floats, known: Bools, owner: Ints, cells: tuple[NDArray[np.int
 
 
 def _means(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
-    """Returns the mean of the known values per chart (..., C), low without any, and the mask (C,) of known charts."""
+    """Returns the mean of the known values per chart (..., C), and the mask (C,) of charts with known values.
+
+    A chart without known values gets 0.3 times the mean of all known values.
+    """
     size = int(owner.max(initial=0)) + 1
     count = np.bincount(owner[known], minlength=size)
     maps = values.reshape(-1, *values.shape[-2:])

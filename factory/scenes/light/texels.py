@@ -52,7 +52,7 @@ class Texels:
 
 @dataclass(frozen=True)
 class TexelGrid:
-    """All texels of a light map, without their places, of which only some are needed."""
+    """All texels of a light map, without their places on surfaces, which `place` computes for some of them."""
 
     charts: Charts
     bends: Bends
@@ -115,7 +115,7 @@ def _points(charts: Charts, chart: Ints, local: Ints, size: Ints, is_bent: Bools
 
 
 def _frames(normals: Floats) -> Floats:
-    """Returns frames (N, 3, 3) that depend on the unit normals only, without a jump except at (0, 0, -1).
+    """Returns frames (N, 3, 3) that are a function of the unit normals, continuous except at (0, 0, -1).
 
     Source: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017.
     """

@@ -65,7 +65,11 @@ def _is_replaced(part: Part, boxes: dict[str, Floats]) -> bool:
 
 
 def weld(triangles: Floats) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Merges equal corners and drops degenerate and double triangles. Returns vertices (M, 3), metres, and (K, 3)."""
+    """Merges equal corners and drops degenerate and double triangles.
+
+    Returns:
+        Vertices (M, 3), metres, and the triangles as indices (K, 3) of vertices.
+    """
     keys = np.rint(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64)
     keys -= keys.min(axis=0, initial=0)
     spans = keys.max(axis=0, initial=0) + 1

@@ -21,7 +21,7 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Goals:
-    """Success regions of T targets by one measure; the results have the bits of those of each `Goal`."""
+    """Success regions of T targets by one measure; the results equal those of each `Goal`, bit for bit."""
 
     centres: Floats
     """(T, 2) centroids, metres."""
@@ -30,7 +30,7 @@ class Goals:
     extents: Floats
     """(T,) largest distance of a vertex from the centroid, metres."""
     vertices: Floats | None
-    """(K, T, 2) vertices of the footprints, the last one repeated; `None` measures from the centroids."""
+    """(K, T, 2) vertices of the footprints, metres, padded with the last; `None` if distances are from centroids."""
 
     @classmethod
     def of(cls, targets: Sequence[Target], goals: Sequence[Goal]) -> Goals:

@@ -153,7 +153,7 @@ def sees_matrix(terrain: Terrain, spawns: Floats, targets: tuple[Target, ...], t
 
 
 def _see(terrain: Terrain, spawns: Floats, goals: Goals, wanted: Bools) -> Bools:
-    """Returns (T, S) whether a spawn has a free straight path to a target and sees it, where `wanted` (T, S)."""
+    """Returns (T, S) whether a spawn has a free straight path to a target and sees it; false unless `wanted`."""
     distance = goals.distances(spawns)
     rows, columns = np.nonzero(wanted & (distance >= SEE_RANGE_M[0]) & (distance <= SEE_RANGE_M[1]))
     seen = terrain.grid.see_boxes(spawns[columns], goals.centres[rows], goals.reaches[rows])

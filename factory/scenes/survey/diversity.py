@@ -22,7 +22,7 @@ from workers.planning import geodesic_m
 _COARSE = 4
 """Side of a cell in which two maps are compared, cells of the occupancy grid (0.2 m)."""
 _STARTS, _GOALS = 4, 12
-"""Most starts and targets of a layout between which path lengths are measured."""
+"""Largest numbers of starts and targets of a layout between which path lengths are measured."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class LayoutFacts:
     path_m: float
     """Median path length along the floor between sampled starts and targets, metres."""
     visible: float
-    """Median number of targets that a start point sees and reaches straight."""
+    """Median number of targets that a start point sees and reaches on a straight line."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def _jaccard(one: Bools, two: Bools) -> float:
 
 
 def nearest_neighbours(maps: Mapping[int, Bools]) -> dict[int, tuple[int, float]]:
-    """Returns for each layout by its seed the seed of the most similar other layout, and the distance to it."""
+    """Returns, by the seed of each layout, the seed of the most similar other layout, and their distance."""
     found: dict[int, tuple[int, float]] = {}
     for one, two in combinations(sorted(maps), 2):
         distance = map_distance(maps[one], maps[two])

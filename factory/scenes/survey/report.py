@@ -92,7 +92,10 @@ def report_survey(
 
 
 def _sees(scene: CompiledScene, success: SuccessMeasure) -> NDArray[np.uint8]:
-    """Returns (spawns, targets): 1 where a target is reachable by straight driving; the package has it by centroid."""
+    """Returns (spawns, targets): 1 where a target is reachable by straight driving.
+
+    The package contains the values by centroid; those by surface are computed here.
+    """
     if success is SuccessMeasure.CENTROID:
         return scene.spawn_sees
     terrain = Terrain(Grid.from_scene(scene), scene.reachable > 0, SpawnConfig(), np.zeros((0, 2, 2)))
@@ -114,9 +117,9 @@ def _shortcomings(scene: CompiledScene) -> tuple[str, ...]:
     found = []
     if len(scene.spawns) < MIN_SPAWNS:
         found.append(
-            f"{len(scene.spawns)} spawn points of {MIN_SPAWNS} on {scene.info.free_area_m2:g} m2 of connected floor: "
-            "the robot must fit with three headings in four; widen passages beyond 0.72 m, join the floor to one "
-            "piece or enlarge it"
+            f"only {len(scene.spawns)} of {MIN_SPAWNS} recommended spawn points fit on {scene.info.free_area_m2:g} m2 "
+            "of connected floor, because the robot must fit with three of four headings; widen passages beyond "
+            "0.72 m, join the floor to one piece or enlarge it"
         )
     by_surface = any(Tier.FAR in target.surface_straight_tiers for target in scene.info.targets)
     if len(scene.spawns) and not (scene.spawn_sees.any() or by_surface):

@@ -40,7 +40,7 @@ class RackPlan(NamedTuple):
     ragged: float
     """Probability that a row is one bay shorter at an end."""
     filled: float
-    """Probability of each bay."""
+    """Probability that the place of a bay is filled."""
     frame: int
     """Variant of the racks and shelves: colour of the frames."""
 

@@ -60,7 +60,7 @@ def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Pale
     """Furnishes the parts of the hall and the side rooms.
 
     Raises:
-        WorldError: the hall has no place for a few racks.
+        WorldError: the hall has no room for the least number of racks.
     """
     own = [Furnisher(plan, room, palette) for room in rooms]
     parts = sorted((each for each in own if each.room.kind == HALL), key=lambda each: -_floor_of(each.area))
@@ -77,7 +77,7 @@ def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Pale
     complete(plan, parts, _EVERYWHERE)
     racks = sum(placement.model.name.startswith("SM_RackPile_04") for placement in plan.placements)
     if racks < _EVERYWHERE["SM_RackPile_04"]:
-        raise WorldError(f"place for {racks} racks only")
+        raise WorldError(f"room for only {racks} racks")
     for each in own:
         each.hang_all()
 
@@ -126,7 +126,7 @@ def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
 
 
 def _split(area: Rectangle, side: str | None, share: float) -> tuple[Rectangle, Rectangle | None]:
-    """Returns the floor for racks, and that before the gates, which takes a share of the depth."""
+    """Returns the floor for racks, and the floor before the gates, which takes a share of the depth, or `None`."""
     if side is None or share < 0.08:
         return area, None
     x, y = area.width * share, area.depth * share

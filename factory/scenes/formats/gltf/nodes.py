@@ -1,6 +1,6 @@
 """Reads glTF 2.0 files (.gltf, .glb): nodes with their transforms, triangles, materials and semantic extras.
 
-Skins and animations are read in their rest pose. Lights and cameras are counted or ignored.
+Skins and animations are read in their rest pose. Lights are counted but not used; cameras are ignored.
 """
 
 from __future__ import annotations

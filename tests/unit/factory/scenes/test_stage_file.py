@@ -97,7 +97,7 @@ def test_another_format_with_a_usd_suffix_is_detected_by_its_first_bytes(
 ) -> None:
     path = tmp_path / f"room{suffix}"
     path.write_bytes(DISGUISED[kind])
-    assert f"holds {kind} under the name of a USD stage" in find_fault(path)
+    assert f"contains {kind}, but has the suffix of a USD stage" in find_fault(path)
 
 
 def test_a_stage_with_a_wrong_suffix_is_refused_with_the_right_suffix(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_a_large_object_is_visible_by_its_footprint_and_not_by_its_centroid() ->
 def test_too_few_spawns_are_a_shortcoming_with_a_remedy() -> None:
     few = replace(ROOM, spawns=ROOM.spawns[:3], spawn_sees=ROOM.spawn_sees[:3])
     (reason, *_) = report_survey(few).shortcomings
-    assert "3 spawn points of 40" in reason
+    assert "3 of 40 recommended spawn points" in reason
     assert "0.72 m" in reason
 
 
