@@ -65,7 +65,7 @@ def _ask_coordinator(root: Path, request: AdminRequest, name: str, tls: TlsFiles
     """Sends a request to the coordinator of a directory; returns `None` if none runs.
 
     A request without an answer is sent again for some seconds, because a coordinator reads its admission list every
-    two seconds and then closes all connections once.
+    two seconds and closes all connections when it has changed.
 
     Raises:
         TransientError: a coordinator holds the directory and does not answer.

@@ -110,7 +110,7 @@ class FreeSpaceMonitor:
     def __init__(self, reserve_bytes: int) -> None:
         self._reserve_bytes = reserve_bytes
         self.has_room = True
-        """Whether more space was free at the last check."""
+        """Whether at least the reserve was free at the last check."""
 
     def look(self, archive: Archive) -> None:
         """Checks the free space; logs a change."""
@@ -197,7 +197,7 @@ class Housekeeping:
         self._run.meters.add(Meter.EXPIRED, self._limit.enforce())
 
     def _check_clock(self) -> None:
-        """Restarts all leases if the wall clock was set, because their ends are times of the former clock."""
+        """Restarts all leases if the wall clock was set, because they end at times of the clock before the change."""
         jump_s = self._watch.jump_s()
         if jump_s:
             run = self._run

@@ -55,7 +55,7 @@ class PeriodicTasks(Closing):
             failing = self._failing[name]
             try:
                 work()
-            except Exception as error:  # noqa: BLE001 - the loop of tasks: logged, and done again
+            except Exception as error:  # noqa: BLE001 - the loop of tasks: logged, and the task is repeated
                 failing.fail(error)
                 pause = max(pause, min(_AFTER_FAILURE_S * 2 ** min(failing.failures - 1, 10), _LONGEST_S))
             else:

@@ -71,7 +71,7 @@ class Rechecks:
         return ""
 
     def _remove(self, index: int, refusal: str) -> None:
-        """Moves an episode to the quarantine folder and queues its job again; the next start completes a move."""
+        """Quarantines an episode and queues its job again; the next start completes an interrupted move."""
         why = f"its worker announced it as valid: {refusal}"
         self._run.archive.quarantine(self._run.archive.path_of(index), why)
         now = self._run.clock()

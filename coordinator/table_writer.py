@@ -66,7 +66,7 @@ class TableWriter:
                 up_to = last_event(connection)
                 is_over = not claims.has_open_jobs(connection)
                 pack_settled(run.archive, connection, run.terms.plan, is_over, run.settings.shard_episodes)
-                # the last write uses the ledger only, as the first one does, because the files may have changed
+                # like the first write, the last one reads all rows from the ledger, because the files may have changed
                 self._checkpoints.write(connection, run.clock(), rewrite=is_over)
             self._up_to, self._are_readable, self._is_first_due = up_to, True, False
         except Exception:

@@ -23,8 +23,8 @@ class TaskConfig(Model):
     success: SuccessMeasure = Field(
         default=SuccessMeasure.CENTROID, exclude_if=lambda it: it is SuccessMeasure.CENTROID
     )
-    """Measure of the distance to the target; omitted if `centroid`, the only one of the first versions. A plan file
-    without this key has `surface`."""
+    """Measure of the distance to the target; omitted if `centroid`, the only measure of the first versions. A plan
+    file without this key has `surface`."""
     success_radius_m: Positive = 1.0
     """Largest planar distance of base_link from the target in a success, by the success measure, metres."""
     hold_steps: Annotated[int, Field(ge=1, le=1000)] = 5
@@ -47,7 +47,7 @@ class DemonstrationConfig(Model):
     """Requirements on a demonstration; an attempt that misses one has failed and is repeated from another start."""
 
     max_contact_steps: Annotated[int, Field(ge=0, le=1000)] | None = None
-    """Largest number of steps with a contact other than the floor; null only records the number."""
+    """Largest number of steps in which the robot touches anything but the floor; null only records the number."""
     target_in_view: bool = False
     """Whether the last frame must show the target, with at least `gains.min_mask_px` pixels; the planner then ends its
     paths with the target ahead."""
@@ -123,8 +123,8 @@ class SpawnConfig(Model):
     """Required free space beside the body on the straight line to the success circle, for experts that drive straight,
     metres."""
     screening: Screening = Field(default=Screening.FORESEEN, exclude_if=lambda it: it is Screening.FORESEEN)
-    """Selection of the starts of experts that drive straight; the planner ignores it. Omitted if `foreseen`, the only
-    one of the first versions."""
+    """Selection of the starts of experts that drive straight; the planner ignores it. Omitted if `foreseen`,
+    the only selection of the first versions."""
     far_floor_m: tuple[Positive, Positive] = Field(default=FAR_FLOOR_M, exclude_if=lambda it: it == FAR_FLOOR_M)
     """Smallest and largest distance along the floor from a start in the far tier to the target, metres: the shortest
     path to the success circle plus its radius. Omitted at its default."""
@@ -173,7 +173,7 @@ class PlannerConfig(Model):
     arrival_margin_m: NonNegative = 0.10
     """Distance from the end of the path to the edge of the success region, inside it, metres."""
     tight_arrival_margin_m: NonNegative = 0.05
-    """The same distance if no path exists with `arrival_margin_m`, metres."""
+    """Value that replaces `arrival_margin_m` if no path exists with it, metres."""
     stop_margin_m: NonNegative = 0.03
     """Distance to the edge of the success region, inside it, at which the robot brakes, metres."""
     max_path_m: Positive = 10.0

@@ -22,8 +22,9 @@ from schemas.terms import EndReason
 from schemas.view import ViewSettings
 
 BUNDLE_FORMAT = 3
-"""Newest version of the bundle format: 3 has the measurements of a rig, 2 has none, 1 has float32 poses and frames
-only. A reader opens its own version and older ones, and rejects newer ones."""
+"""Newest version of the bundle format. Bundles of version 3 have the measurements of a rig, those of version 2 have
+none, and those of version 1 have float32 poses and frames only. A reader opens its own version and older ones, and
+rejects newer ones."""
 FORMAT_WITHOUT_RIG = 2
 """Version of the bundles without a rig."""
 MAX_FRAMES = 1000
@@ -65,7 +66,7 @@ class Rollout(Model):
     min_ne_m: NonNegative
     """Smallest planar distance to the target's centroid over the episode, metres; oracle metrics use it."""
     collision_count: Count
-    """Number of steps with a contact other than the floor."""
+    """Number of steps in which the robot touches anything but the floor."""
     steps_visible: Count | None
     """Number of steps in which the target was visible to the expert; null in a states recording of an expert that uses
     no images."""
@@ -82,7 +83,7 @@ class Route(Model):
 
     geodesic_m: NonNegative | None = None
     """Length of the shortest path along the floor from the spawn to the success region, metres; `None` if the floor
-    does not connect them. The l of SPL."""
+    does not connect them. It is l in the formula of SPL."""
     planned: Annotated[tuple[tuple[Finite, Finite, Finite], ...], Field(max_length=_MAX_PATH_POSES)] = ()
     """Poses of the planner's path: x, y in metres and yaw in radians of base_link; empty for other experts."""
 
@@ -125,7 +126,7 @@ class EpisodeMeta(Model):
     instances: Annotated[tuple[Instance, ...], Field(max_length=MAX_INSTANCES)]
     """Instances that the ids in `seg_front` refer to; empty in a states recording, because the scene lists them."""
     frame_digests: Annotated[tuple[Digest, ...], Field(max_length=MAX_FRAMES)]
-    """XXH3-128 of (rgb, depth, ids) of every frame, or in a states recording of those of `Job.sampled_steps`."""
+    """XXH3-128 of (rgb, depth, ids) of every frame; in a states recording, of the frames at `Job.sampled_steps`."""
     sensor_digests: Annotated[dict[Name, Digest], Field(max_length=32)] = Field(
         default_factory=dict, exclude_if=lambda it: not it
     )
@@ -138,8 +139,8 @@ class EpisodeMeta(Model):
     language: Instruction | None = Field(default=None, exclude_if=lambda it: it is None)
     """Verified instruction of a job with `language`; null and omitted for a template."""
     choices: InstanceIds = Field(default=(), exclude_if=lambda it: not it)
-    """Objects that could be the target at the start, of which it was drawn; empty and omitted if the plan names the
-    target."""
+    """Objects that could be the target at the start, from which the target was drawn; empty and omitted if the plan
+    names the target."""
     questions: Annotated[tuple[Question, ...], Field(max_length=8)] = Field(default=(), exclude_if=lambda it: not it)
     """Questions with verified answers of a job whose `language` has them; empty and omitted otherwise."""
     provenance: Provenance
@@ -172,7 +173,7 @@ class EpisodeMeta(Model):
     def with_frames(
         self, job: Job, steps_visible: int, instances: tuple[Instance, ...], appearance: DrawnAppearance | None = None
     ) -> EpisodeMeta:
-        """Returns the metadata that the frames recording of this states recording has, with the former digests.
+        """Returns the metadata of the frames recording of this episode, still with the digests of this recording.
 
         Args:
             job: job of the frames recording.

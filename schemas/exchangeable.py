@@ -1,6 +1,7 @@
-"""Finds the objects that could be the target of an episode from its start; the image does not show which one is.
+"""Finds the objects that could be the target of an episode: the image at its start does not show which one it is.
 
-The worker draws the target from them, validation and statistics find them again. Pure functions; they read no file.
+The worker draws the target from these objects; validation and statistics find the objects again. Pure functions; they
+read no file.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from schemas.terms import TIER_RANGE_M
 
 
 def candidates_of(job: Job, info: SceneInfo) -> tuple[Target, ...]:
-    """Returns the targets that an episode may have, the planned one first: one, or those of its draw at the start."""
+    """Returns the targets that an episode may have, the planned one first; several if it is drawn at the start."""
     planned = info.target(job.target_id)
     if job.choice is None:
         return (planned,)
@@ -32,8 +33,8 @@ def exchangeable_targets(
 ) -> tuple[Target, ...]:
     """Returns the candidates that could be the target of an episode from its start, in the order of their ids.
 
-    Such an object is in view, its distance and direction are those of the tier, and no point is close enough to it and
-    to another one of them for a success.
+    Such an object is in view, at a distance and in a direction of the tier, and its success region does not overlap
+    with the success region of another such object.
 
     Args:
         job: job of the episode, in the near or mid tier.
@@ -54,13 +55,13 @@ def may_exchange(job: Job, candidates: Sequence[Target], start: tuple[float, flo
 
 
 def _count_apart(job: Job, targets: Sequence[Target]) -> list[int]:
-    """Returns for each target the number of others whose success region has no point in common with its own."""
+    """Returns for each target the number of other targets whose success region does not overlap with its own."""
     goals = [Goal.of(each, job.task) for each in targets]
     return [sum(own is not other and own.is_disjoint(other) for other in goals) for own in goals]
 
 
 def startable_targets(job: Job, candidates: Sequence[Target], start: tuple[float, float, float]) -> list[Target]:
-    """Returns the candidates whose distance and direction from a start are those of the job's tier, near or mid."""
+    """Returns the candidates whose distance and direction from a start fit the job's tier, near or mid."""
     x, y, yaw = start
     low, high = TIER_RANGE_M[job.tier]
     found = []

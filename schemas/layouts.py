@@ -1,8 +1,8 @@
 """Distributes the episodes of a family over its layouts, from the plan only: the layouts need not be built.
 
-Each cell of split x tier has its exact quota in the family, which is distributed over the layouts in turn: the totals
-of two layouts of one kind, and their episodes in each cell, differ by at most one. The last layouts are those of the
-unseen-scene splits. Pure functions.
+The family has an exact quota of episodes for each cell of split x tier. The episodes are distributed over the layouts
+in turn, so that two layouts of one kind differ by at most one episode, in total and in each cell. The last layouts
+belong to the unseen-scene splits. Pure functions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class LayoutPlan(ScenePlan):
     family: ScenePlan = Field(exclude=True)
     """Entry of the family."""
     places: Mapping[Cell, InstanceOf[range]] = Field(exclude=True)
-    """Places of this layout's episodes of each cell in the family's sequence of episodes with the same categories."""
+    """Places of its episodes, by cell, in the family's sequence of episodes with seen or with held-out categories."""
 
     @property
     def quota(self) -> Cells:
@@ -112,7 +112,7 @@ def unseen_layouts(scene: ScenePlan, splits: Mapping[Split, float]) -> int:
 
 
 def layout_mistakes(scene: ScenePlan, splits: Mapping[Split, float]) -> Iterator[str]:
-    """Yields what is wrong with the layouts of an entry of a plan.
+    """Yields the mistakes in the layouts of an entry of a plan.
 
     Args:
         scene: entry of a scene or of a family.
@@ -122,9 +122,9 @@ def layout_mistakes(scene: ScenePlan, splits: Mapping[Split, float]) -> Iterator
     if scene.layouts is None or not has_unseen:
         is_layout = layout_number(scene.name) is not None
         if has_unseen and is_layout and not all(split.is_unseen_scene for split, share in splits.items() if share > 0):
-            yield "one layout has either the splits test_unseen_scene* or others; set the shares of one kind to 0"
+            yield "one layout has either the splits test_unseen_scene* or others: set the shares of one kind to 0"
         if has_unseen and not is_layout:
-            yield "the splits test_unseen_scene* need `layouts`; set their shares of this scene to 0"
+            yield "the splits test_unseen_scene* need `layouts`: set their shares of this scene to 0"
         if scene.unseen_layouts is not None:
             yield "`unseen_layouts` is for the splits test_unseen_scene*, whose shares are 0"
         return
@@ -139,7 +139,7 @@ def layout_mistakes(scene: ScenePlan, splits: Mapping[Split, float]) -> Iterator
 
 
 def with_episodes(scene: ScenePlan, splits: Mapping[Split, float], episodes: int) -> ScenePlan:
-    """Returns an entry with another number of episodes; a family has fewer layouts where it has too few episodes."""
+    """Returns an entry with another number of episodes; a family with too few episodes gets fewer layouts."""
     if scene.layouts is None:
         return scene.model_copy(update={"episodes": episodes})
     held_back, unseen = _unseen_episodes(splits, episodes), unseen_layouts(scene, splits)

@@ -29,12 +29,12 @@ _OUTLINE_POINTS = 97
 
 
 STOPPED_RPS = 0.05
-"""Largest commanded yaw rate of a robot that has stopped at a false premise, rad/s."""
+"""Largest commanded yaw rate of a robot that has stopped because of a false premise, rad/s."""
 
 
 def hold_steps_of(spec: EpisodeSpec, task: TaskConfig) -> int:
-    """Returns the stationary steps that make a success: at a false premise those of one second at least, because a
-    robot that starts to drive is stationary for a few steps, too."""
+    """Returns the number of stationary steps that make a success; with a false premise at least those of one second,
+    because a robot that starts to drive is stationary for a few steps, too."""
     return max(task.hold_steps, task.control_hz) if spec.is_false_premise else task.hold_steps
 
 

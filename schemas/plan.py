@@ -84,7 +84,7 @@ class Plan(Model):
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Controller that drives."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
-    """Content that an episode stores; omitted for frames, so that former digests stay valid."""
+    """Content that an episode stores; omitted for frames, so that older digests stay valid."""
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
     """Sensors that a recording of frames stores in addition to the recorded camera, and the default rig of readers of a
     recording of states; null and omitted for none."""
@@ -155,14 +155,14 @@ class Plan(Model):
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
         if self.language is None and any(self.splits_of(scene).get(Split.TEST_FALSE_PREMISE) for scene in self.scenes):
             mistakes.append(
-                "splits.test_false_premise: the templates have no false premises, the table [language] has them"
+                "splits.test_false_premise needs the table [language], because templates have no false premises"
             )
         if self.language is not None:
             mistakes += _language_faults(self, self.language)
         if self.rig is not None:
             mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
         if mistakes:
-            raise ValueError("; ".join(mistakes))
+            raise ValueError("\n".join(mistakes))
         return self
 
     def tiers_of(self, scene: ScenePlan) -> Mapping[Tier, float]:
@@ -180,7 +180,7 @@ class Plan(Model):
 
     @property
     def screening(self) -> str:
-        """Selection of the starts, with the scenes in which another one applies: `none, office sight`."""
+        """Selection of the starts, followed by the scenes with another selection: `none, office sight`."""
         others = [f"{scene.name} {scene.screening}" for scene in self.scenes if scene.screening]
         return ", ".join([self.spawn.screening, *others])
 
@@ -250,7 +250,7 @@ class Plan(Model):
 
 
 def _language_faults(plan: Plan, language: LanguageSpec) -> list[str]:
-    """Returns the keys of a language block that a plan does not support."""
+    """Returns a message for each key of a language block that a plan does not support."""
     found = []
     if language.per_episode != 1:
         found.append("language.per_episode: an episode of a plan has one instruction, `factory relabel` writes several")
@@ -264,17 +264,20 @@ def _language_faults(plan: Plan, language: LanguageSpec) -> list[str]:
 
 
 def _exchange_faults(plan: Plan) -> list[str]:
-    """Returns the keys of a plan that do not permit to draw the target at the start."""
+    """Returns a message for each key of a plan that prevents drawing the target at the start."""
     found = []
     if plan.expert is not ExpertName.PLANNER:
         found.append(
             f"language.exchangeable: the expert {plan.expert} drives straight, so that few objects in view could be "
-            'the target; set expert = "planner"'
+            'the target: set expert = "planner"'
         )
     if any(plan.tiers_of(scene).get(Tier.FAR) for scene in plan.scenes):
-        found.append("language.exchangeable: the image does not show distances along the floor; set tiers.far to 0")
+        found.append("language.exchangeable: the image does not show distances along the floor: set tiers.far to 0")
     if plan.colors == "off":
-        found.append("language.exchangeable: `colors` is for templates, remove it; [language.features] has colour = 0")
+        found.append(
+            "language.exchangeable: `colors` is for templates, remove it "
+            "(to exclude colours, set colour = 0 in [language.features])"
+        )
     return found
 
 

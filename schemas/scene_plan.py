@@ -79,7 +79,7 @@ class ScenePlan(Model):
     screening: Screening | None = None
     """Selection of the starts in this scene; null selects `spawn.screening` of the plan."""
     ambiguous: tuple[Name, ...] = ()
-    """Categories whose instructions may fit several objects, where `instructions.unique` asks for one."""
+    """Categories whose instructions may fit several objects, although `instructions.unique` requires one."""
     tiers: dict[Tier, Fraction] = Field(default_factory=dict)
     """Fraction of episodes in each tier of this scene; empty selects the plan's fractions."""
     splits: dict[Split, Fraction] = Field(default_factory=dict)

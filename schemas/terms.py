@@ -40,9 +40,9 @@ class Split(StrEnum):
     TEST_ID = "test_id"  # the same, held out for testing
     TEST_PARAPHRASE_OOD = "test_paraphrase_ood"  # seen categories, paraphrased templates
     TEST_OOD_OBJ = "test_ood_obj"  # held-out categories, training templates
-    TEST_UNSEEN_SCENE = "test_unseen_scene"  # as test_id, in layouts of the unseen-scene splits only
-    TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # the same, paraphrased templates
-    TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # the same layouts, held-out categories, training templates
+    TEST_UNSEEN_SCENE = "test_unseen_scene"  # as `test_id`, in layouts of the unseen-scene splits only
+    TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # as `test_paraphrase_ood`, in these layouts
+    TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # as `test_ood_obj`, in these layouts
     TEST_FALSE_PREMISE = "test_false_premise"  # the named object does not exist; the robot stops (docs/language.md)
 
     @property
@@ -86,7 +86,7 @@ class Screening(StrEnum):
     """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""
 
     NONE = "none"  # any free pose of the tier, as published: drives may fail
-    SIGHT = "sight"  # near and mid: the same, in sight of the target, as in a room without inner walls
+    SIGHT = "sight"  # as `none`, but near and mid starts are in sight of the target, as in a room without inner walls
     FREE_LINE = "free_line"  # the straight line to the success circle is free
     FORESEEN = "foreseen"  # the line is free, and the predicted drive touches nothing if such a start is found
 

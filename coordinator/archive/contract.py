@@ -70,7 +70,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
     def pack(self, owned: Mapping[int, str], first: int, last: int) -> int:
         """Moves episodes of one range of numbers from their files into a new shard, durably.
 
-        A file that is missing, large, or has another digest stays as it is; a warning names it.
+        Skips a file that is too large, missing or damaged, with a warning that names it.
 
         Args:
             owned: SHA-256 of each episode to pack, by number.
@@ -125,7 +125,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """
 
     def add_texture(self, source: Path, sha256: str) -> Place:
-        """Stores the file of a texture. Does nothing if a file of that digest is stored; raises as `add_scene`."""
+        """Stores the file of a texture. Does nothing if it is stored already; raises the errors of `add_scene`."""
 
     def scene_path(self, name: str, sha256: str) -> Place:
         """Returns the path of a compiled scene, whether or not it is stored yet."""
@@ -134,7 +134,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Returns the path of the file of a texture, whether or not it is stored yet."""
 
     def sweep_textures(self, needed: Collection[str]) -> None:
-        """Deletes the textures whose SHA-256 is not in `needed`, which an interruption has left."""
+        """Deletes leftovers of interruptions: the textures whose SHA-256 is not in `needed`."""
 
     def replacing(self, name: str) -> AbstractContextManager[Path]:
         """Yields a part file, which replaces a table of the dataset if the block exits without an error.

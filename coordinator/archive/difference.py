@@ -37,15 +37,15 @@ class ArchiveDifference:
     """Episode numbers by finding, each in ascending order."""
 
     same: tuple[int, ...]
-    """Listed as recorded."""
+    """Episodes that are recorded in this directory and whose file equals the record."""
     missing: tuple[int, ...]
-    """Recorded in this directory and not listed."""
+    """Episodes that are recorded in this directory and have no file."""
     unknown: tuple[int, ...]
-    """Listed and not recorded."""
+    """Episodes that have a file and no record."""
     changed: Mapping[int, str]
-    """Listed with other contents than recorded, with a description of the difference."""
+    """Episodes whose file differs from its record, with a description of the difference."""
     elsewhere: tuple[int, ...]
-    """Listed as recorded, and recorded at a gateway; these are not in `same`."""
+    """Episodes that are recorded at a gateway and whose file equals the record; they are not in `same`."""
 
     @property
     def strays(self) -> tuple[int, ...]:

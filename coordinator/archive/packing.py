@@ -67,7 +67,7 @@ class PackingArchive(ABC):
 
     @abstractmethod
     def _store_shard(self, part: Path, name: str) -> None:
-        """Publishes a synced part file durably as a shard; a file of that name has the same bytes or is damaged."""
+        """Publishes a synced part file durably as a shard. A file of that name, if any, is equal or damaged."""
 
     @abstractmethod
     def _delete(self, places: Collection[Place]) -> None:
@@ -202,7 +202,7 @@ class PackingArchive(ABC):
         return shard
 
     def _remove(self, name: str, indices: Collection[int]) -> None:
-        """Replaces a shard by one without some of its episodes."""
+        """Replaces a shard with a new shard that lacks some of its episodes."""
         one = ShardIndex.of(self.root / EPISODES, [self._directories[name]])
         rest = ((index, path.read_bytes(checked=False)) for index, path in one if index not in indices)
         self._write_shard(rest, *range_of_shard(name))
@@ -234,11 +234,11 @@ class PackingArchive(ABC):
             self.write_shard_index()
 
     def _replace_damaged(self, place: Place, found: ShardDirectory, damage: str) -> None:
-        """Writes a shard of the intact episodes of a damaged one, which is moved to the quarantine folder."""
+        """Writes a new shard with the intact episodes of a damaged shard, and quarantines the damaged shard."""
         intact = ShardIndex.of(self.root / EPISODES, [found])
         shard = self._write_shard(((index, path.read_bytes()) for index, path in intact), *range_of_shard(place.name))
         reason = f"{damage}; {len(intact)} intact episodes are kept in {shard.name}" if len(intact) else damage
-        if shard.name != place.name:  # otherwise only its directory was damaged, and the new shard has its name
+        if shard.name != place.name:  # equal names: only the directory was damaged, and the new shard has replaced it
             self._set_aside(place, reason)
         log.warning("shard_damaged", shard=str(place), why=reason, remedy="missing episodes are generated again")
 
@@ -252,7 +252,7 @@ class PackingArchive(ABC):
                 self._set_aside(path, f"differs from the same episode in {packed.shard.name}")
 
     def _settle_shards(self) -> None:
-        """Removes episodes from a shard that are in another shard, too; quarantines those that differ."""
+        """Keeps one copy of an episode that is in two shards; quarantines the other copy if it differs."""
         index, surplus = self._shards, dict[str, set[int]]()
         for position in np.flatnonzero(np.diff(index.numbers) == 0).tolist():
             kept, twice = index.at(position), index.at(position + 1)

@@ -35,7 +35,7 @@ class Staged(Closing):
         self.size = 0
         """Bytes written so far."""
         self.is_linked = False
-        """Whether the file is one that a process of this user wrote on this disk, see `link`."""
+        """Whether the part file is a hard link to a file that another process has written, see `link`."""
         self._file = file
         self._hash = hashlib.sha256()
 
@@ -160,7 +160,7 @@ class Staging:
 
     def free_bytes(self) -> int:
         """Returns the free space of the file system for an unprivileged user, bytes."""
-        with translated("ask the free space of", self.root):
+        with translated("read the free space of", self.root):
             return shutil.disk_usage(self.root).free
 
     def close(self) -> None:

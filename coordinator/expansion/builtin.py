@@ -32,17 +32,18 @@ _PAPER = Plan(
     robot=RobotConfig(max_braking_mps2=7.0),
     spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.5)),
 )
-"""1174 episodes with the paper's shares, seed and expert, blind starts, and a braking fitted to the published law. The
-paper's office is one open room: near and mid starts in this one, which has inner walls, need sight of the target
+"""1174 episodes with the paper's shares, seed and expert, and a braking limit fitted to the published drives.
+Starts are not screened, except in the office: the paper's office is one open room, but this office has inner walls, so
+that its near and mid starts need sight of the target
 (docs/decisions/0154-start-papers-office-episodes-in-sight-of-the-target.md)."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
-"""Categories of which almost every start shows several objects
+"""Categories by scene of which almost every start shows several objects
 (docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
 
 
 def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
-    """Returns a scene with 9 x `seen` episodes of seen and `held_out` episodes of held-out categories."""
+    """Returns a scene with 9 x `seen` episodes of seen categories and `held_out` episodes of held-out ones."""
     numbers = dict.fromkeys((Split.VAL_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD), seen)
     numbers |= {Split.TRAIN_ID: 6 * seen, Split.TEST_OOD_OBJ: held_out}
     episodes = sum(numbers.values())
@@ -68,7 +69,7 @@ _BALANCED = Plan(
 )
 """1200 episodes: 135 of each seen and 30 of each held-out category, planner expert, colours on, disjoint instances for
 training and evaluation, instructions that fit one object, no contact and the target in view on arrival. The numbers of
-the scenes permit equal shares and let each scene name all its categories
+episodes of the scenes permit equal shares of the categories, and each scene names all its categories
 (docs/decisions/0125-give-every-category-of-balanced-an-equal-share.md)."""
 
 _REFERRING = Plan(
@@ -86,13 +87,13 @@ _REFERRING = Plan(
     demonstration=DemonstrationConfig(max_contact_steps=0),
 )
 """1200 episodes whose starts show several objects of the named category that could be the target. The target is drawn
-from these, so that only the verified instruction, which fits the target only, tells which one it is."""
+from these objects, and only the verified instruction, which fits no other object, identifies it."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED, _REFERRING)})
 
 
 def is_paper_plan(plan: Plan) -> bool:
-    """Returns whether a plan is `paper`, or a variant with fewer scenes or episodes, other expert, seed or record."""
+    """Returns whether a plan is `paper`, or differs from it only in scenes, episodes, expert, seed or record."""
     theirs = [scene.model_copy(update={"episodes": part.episodes}) for scene in _PAPER.scenes for part in plan.scenes]
     kept = {name: getattr(_PAPER, name) for name in ("scenes", "expert", "seed", "record")}
     whole = plan.model_copy(update=kept)

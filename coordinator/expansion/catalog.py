@@ -82,7 +82,8 @@ def read_entry(path: Path) -> SceneEntry:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         size = file.tell()
         info = decode_geometry(file).info
-    textures = tuple(sys.intern(texture.sha256) for texture in info.textures)  # layouts share most of them
+    # layouts share most textures, so that equal digests share one string
+    textures = tuple(sys.intern(texture.sha256) for texture in info.textures)
     return SceneEntry(info if layout_number(info.name) is None else None, sha256, size, path, textures)
 
 

@@ -138,8 +138,8 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     """Returns the next draw of the same cell, after the attempts at the previous target failed.
 
     The first redraws keep the category; later redraws use all targets of the cell. With `categories_overall`, half of
-    all draws keep the category. The template changes if the target cannot. The result depends on plan, scene, index and
-    draw only, so that it does not depend on which worker failed or when.
+    all draws keep the category. If no other target exists, the template changes. The result depends on plan, scene,
+    index and draw only, so that it does not depend on which worker failed or when.
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
@@ -157,7 +157,7 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
         template_id = _draw(templates, rng)
     elif fresh:
         template_id = former.template_id
-    else:  # another template, so that this draw can succeed: one with a colour may fit the target alone
+    else:  # the target is the same: another template, e.g. with a colour, may succeed
         template_id = _draw([each for each in templates if each != former.template_id] or templates, rng)
     words = target.category, target.target_id, colour, template_id
     return PlannedJob(planned.index, draw, _episode(former.scene, former.tier, former.split, *words))
@@ -192,14 +192,14 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
 
 
 def _view(plan: Plan, entry: SceneEntry) -> ViewSettings:
-    """Returns what the episode is rendered with; the default for a recording of states."""
+    """Returns the view settings of the job; a recording of states has the default settings."""
     if plan.record is not Recording.FRAMES:
         return ViewSettings()
     return plan.view if entry.light is None else plan.view.model_copy(update={"light": entry.light_file})
 
 
 def _demonstration(plan: Plan, episode: EpisodeSpec) -> DemonstrationConfig:
-    """Returns the requirements on a demonstration; at a false premise, the last frame need not show the target."""
+    """Returns the requirements on a demonstration; with a false premise, the last frame need not show the target."""
     wanted = plan.demonstration
     return wanted.model_copy(update={"target_in_view": False}) if episode.is_false_premise else wanted
 
@@ -236,7 +236,7 @@ def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned:
 
 
 def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned: PlannedJob) -> StartView:
-    """Returns the draw of the target at the start: of all objects of the category that the cell permits."""
+    """Returns conditions that let the worker draw the target, from all objects of the category in the cell."""
     episode = planned.episode
     pool = scene_cells(plan, plan.part(episode.scene), entry).pool(episode.split, episode.tier)
     among = sorted(target.instance_id for target in pool if target.category == episode.category)
@@ -249,8 +249,8 @@ def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned:
 
 
 def _rank_rng(plan: Plan, planned: PlannedJob) -> np.random.Generator:
-    """Returns a random generator that is the same in all draws of an episode; otherwise ranks and targets that rarely
-    occur would get rarer."""
+    """Returns a random generator with the same numbers in all draws of an episode: with new numbers, redraws would
+    replace ranks and targets that few starts permit by more frequent ones."""
     return np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
 
 

@@ -26,7 +26,7 @@ _FIELDS = {
 
 
 def with_far_tiers(plan: Plan, entry: SceneEntry) -> SceneEntry:
-    """Returns the scene, whose targets have the far tier according to `spawn.far_floor_m` of a plan."""
+    """Returns the scene with the far tier of its targets according to `spawn.far_floor_m` of a plan."""
     least_m = plan.spawn.far_floor_m[0]
     if least_m == FAR_FLOOR_M[0]:
         return entry

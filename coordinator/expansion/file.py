@@ -109,7 +109,7 @@ def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
 
 
 def with_rig(plan: Plan, rig: Rig | None) -> Plan:
-    """Returns the plan with another rig; none for the rig `paper`, whose only sensor is recorded without a rig, too.
+    """Returns the plan with another rig. The rig `paper` gives no rig: its only sensor is recorded anyway.
 
     Raises:
         InvalidRig: the rates of the rig do not fit the plan, or it gives too many measurements.
@@ -124,7 +124,11 @@ def with_rig(plan: Plan, rig: Rig | None) -> Plan:
 
 
 def with_appearance(plan: Plan, reference: str) -> Plan:
-    """Returns the plan with another appearance: the name of a built-in one, a file, or `none`.
+    """Returns the plan with another appearance.
+
+    Args:
+        plan: plan.
+        reference: name of a built-in appearance, path of a file, or `none`.
 
     Raises:
         UsageError: the appearance does not exist.

@@ -63,7 +63,8 @@ def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | No
     found = scene_cells(plan, part, entry)
     if all(found.pool(*cell) for cell in found.quota):
         return part
-    free = plan.model_copy(update={"disjoint_instances": False})  # sharing instances is preferred to empty cells
+    # training and evaluation share instances rather than leave cells empty
+    free = plan.model_copy(update={"disjoint_instances": False})
     tiers, splits = _positive(plan.tiers_of(part)), _positive(plan.splits_of(part))
     shared = scene_cells(free, part, entry)
     able = {cell for cell in product(splits, tiers) if shared.pool(*cell)}

@@ -23,7 +23,7 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
 
 
 def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
-    """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
+    """Returns a line for each fault: a scene that lacks categories, or a cell without a target."""
     return _find_impossible(plan, each_scene(plan, catalog))
 
 
@@ -74,7 +74,7 @@ def faults_of(cells: SceneCells, place: str) -> Iterator[str]:
     for (split, tier), count in cells.quota.items():
         lacking = exact.get((split, tier), {}).keys() - {target.category for target in cells.pool(split, tier)}
         if lacking and cells.pool(split, tier):
-            yield f"{place}: cell {split} / {tier} has no startable {', '.join(sorted(lacking))}, which its quota names"
+            yield f"{place}: cell {split} / {tier} has no startable {', '.join(sorted(lacking))}, which its quota needs"
         if named[split] & cells.present and not cells.pool(split, tier):
             yield (
                 f"{place}: cell {split} / {tier} ({count} episodes) has no target that the "

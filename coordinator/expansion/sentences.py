@@ -22,13 +22,13 @@ from schemas.support.numpy_types import Floats
 
 _KEPT_SCENES = 4
 _TARGETS, _STARTS = 12, 4
-"""Largest number of targets of a scene, and of starts for each of them, that are tried."""
+"""Largest number of targets of a scene that are tried, and of starts for each target."""
 _RANGE_M = (1.5, 7.0)
 
 
 @functools.lru_cache(maxsize=_KEPT_SCENES)
 def scene_language(package: Path) -> SceneLanguage:
-    """Returns the scene graph of a package with its verifier; those of the most recently used scenes are kept.
+    """Returns the scene graph of a package with its verifier; keeps the results for recently used scenes.
 
     Raises:
         InvalidBundle: the package is damaged.
@@ -37,11 +37,13 @@ def scene_language(package: Path) -> SceneLanguage:
 
 
 def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
-    """Returns a line for each scene in which the language block of a plan gives no instruction, with what is possible.
+    """Returns a line for each scene that has no instruction for the language block of a plan.
+
+    A line names the features that are possible in the scene.
 
     Args:
-        plan: plan; one without a language block gives no line.
-        catalog: scenes of the plan, which support it otherwise.
+        plan: plan; without a language block, the result is empty.
+        catalog: scenes of the plan, which fulfil its other requirements.
     """
     if plan.language is None:
         return []
@@ -68,7 +70,7 @@ def _probes(plan: Plan, cells: SceneCells, scene: CompiledScene, prepared: Scene
 
 
 def _starts(scene: CompiledScene, target: Target) -> list[tuple[float, float]]:
-    """Returns some start points of a scene around a target, evenly spread over those in range."""
+    """Returns some start points around a target, evenly spread over the surveyed points in range."""
     distances = np.linalg.norm(scene.spawns - np.asarray(target.centroid_m[:2]), axis=1)
     points: Floats = scene.spawns[(distances > _RANGE_M[0]) & (distances < _RANGE_M[1])]
     return [(float(x), float(y)) for x, y in points[:: max(1, math.ceil(len(points) / _STARTS))]]

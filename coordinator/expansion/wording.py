@@ -31,8 +31,8 @@ class Wording:
             if self._needs_unique(category) and colour != "unknown" and len(referents(info, category, colour)) == 1
         }
         self.targets = tuple(each for each in info.targets if self.templates(Split.TRAIN_ID, each))
-        """Targets for which a template is permitted, in training or paraphrased: both kinds have templates with and
-        without a colour."""
+        """Targets for which a training template is permitted. A paraphrased template is then permitted too, because
+        both kinds include templates with and without a colour."""
 
     def colour_of(self, target: Target) -> str:
         """Returns the colour word that instructions may use for a target, or `unknown`."""

@@ -120,7 +120,7 @@ def gather(
         packing = partial(_pack, archive, engine, dataset.plan, shard_episodes)
         for done, one in enumerate(wanted, 1):
             if done > 1 and range_of(one.index, shard_episodes) != range_of(wanted[done - 2].index, shard_episodes):
-                packing()  # the range before is complete
+                packing()  # all episodes of the previous range are processed
             why = _fetch(archive, one, sources)
             if why:
                 missing.append(Missing(episode=episode_id(one.index), gateway=one.gateway, why=why))
@@ -143,7 +143,7 @@ def gather(
 
 def _require_ledger(dataset: RepairInput) -> None:
     if dataset.foreign_ledger:
-        raise WorldError(f"the ledger {dataset.foreign_ledger}; `factory repair {dataset.root}` rebuilds the right one")
+        raise WorldError(f"the ledger {dataset.foreign_ledger}; `factory repair {dataset.root}` replaces it")
     require_sound(dataset.url)
 
 

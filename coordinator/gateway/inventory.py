@@ -62,7 +62,7 @@ def reconcile_directory(
     """
     inventory = DirectoryInventory()
     for path in archive.foreign():
-        archive.quarantine(path, "no episode by its name")
+        archive.quarantine(path, "its name is not that of an episode")
     present = archive.present()
     for told in _inventories({index: path.stat().st_size for index, path in present.items()}, is_new=is_new):
         while len((reply := core.request_until_reply(Verb.INVENTORY, told, InventoryReply, stop)).lost) == MAX_LOST:

@@ -48,7 +48,7 @@ class Gateway(Closing):
         name: name of the gateway at the core; with TLS the common name of its certificate.
         connect: endpoints of the core.
         listen: endpoints for workers; port 0 selects a free port.
-        settings: settings, the same as those of a coordinator.
+        settings: operational settings, as for a coordinator.
         guard: TLS credentials and admission list; `None` admits every peer that can connect.
         checker: validator of bundles, closed with the gateway; by default one sandboxed child process per puller.
         stop: event that ends waiting for the core during the start.

@@ -28,7 +28,7 @@ from schemas.protocol.messages import Beat, Lease
 
 HELD_STATES = (JobState.LEASED, JobState.SUBMITTED)
 GRACE = 1.5
-"""Duration of the leases after a restart, in lease times: no heartbeat arrived while the coordinator was down."""
+"""Duration of leases after a restart, in lease times; above 1, because no heartbeat arrived during the downtime."""
 _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
@@ -138,7 +138,7 @@ def claim(
 
 
 def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> BeatOutcome:
-    """Extends every lease of a host that is in force; returns the others and the bundles that are not pulled yet.
+    """Extends the leases of a host that are in force; returns the other leases and the bundles not pulled yet.
 
     A lease belongs to the host that claimed the job; the token of another host has no effect.
     """

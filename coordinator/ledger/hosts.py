@@ -1,8 +1,8 @@
 """Records the workers of a run, and failures of hosts: strikes, pauses and bars. Does not change jobs.
 
 A host with a strike gets one job at a time; each episode that it delivers halves its strikes. A failure is attributed
-to the job only if it failed on as many hosts as its crash budget, on all available hosts, or for a long time on the
-only host. Until then it is attributed to the host.
+to the job only if the job failed on as many hosts as its crash budget, on all available hosts, or for a long time on
+the only host. Until then it is attributed to the host.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _HALVE_STRIKES = PreparedStatement(
     .values(strikes=hosts.c.strikes // 2, resumes_at=0.0)
 )
 SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
-"""Maximum number of recorded sessions in total, which is twice the maximum number of connections, and per host."""
+"""Maximum number of recorded sessions: in total, which is twice the maximum number of connections, and per host."""
 _SILENT_S = 300.0
 """Time without a message after which a session may be removed in favour of a new one, seconds."""
 _OLDEST = func.min(workers.c.last_beat).label("oldest")

@@ -160,7 +160,7 @@ def read_info(connection: Connection) -> LedgerInfo:
 
 @functools.lru_cache(maxsize=2)
 def _read_plan(text: str) -> Plan:
-    """Parses a plan; cached, because a reader needs the same one each time it reads the progress."""
+    """Parses a plan; cached, because a reader needs the same plan each time it reads the progress."""
     return Plan.model_validate_json(text)
 
 
@@ -290,5 +290,5 @@ def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog, scenes: Mapp
             now = catalog[name].sha256[:16] if name in catalog else "none"
             raise WorldError(
                 f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {found.run} began, so new episodes "
-                "would differ from the existing ones: restore the former scene, or choose another --out"
+                "would differ from the existing ones: restore the original scene, or choose another --out"
             )

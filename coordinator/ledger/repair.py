@@ -80,11 +80,11 @@ def obstacle_to(connection: Connection, index: int, draw: int, attempt: int, *, 
     if row is None:
         return "the plan has no such episode"
     if row.state == JobState.ARCHIVED and not replaces:
-        return "the ledger owns another file"
+        return "the ledger records another file of the episode"
     if row.draw > draw:
-        return f"the ledger has recorded draw {draw} of it as failed"
+        return f"the ledger has recorded draw {draw} of the episode as failed"
     if row.attempt > attempt:
-        return f"the ledger has recorded attempt {attempt} as failed"
+        return f"the ledger has recorded attempt {attempt} of the episode as failed"
     return ""
 
 
@@ -116,7 +116,7 @@ def record_whole(
     obstacle = obstacle_to(connection, receipt.index, draw, attempt, replaces=replaces)
     if obstacle:
         return obstacle
-    outcomes.lose(connection, receipt.index, now, "another whole file of it is on disk")
+    outcomes.lose(connection, receipt.index, now, "the dataset has another intact file of the episode")
     row = _take(connection, _advance_to_draw(connection, plan, catalog, receipt.index, draw, now), attempt, now)
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)
@@ -162,7 +162,7 @@ def record_failures(
         failures: rows of `attempts.parquet` with draws of the plan.
         known: failed attempts in the ledger.
         now: time of the repair.
-        whole: mapping of episode to draw and attempt of its intact file; no attempt from there on can have failed.
+        whole: mapping of episode to draw and attempt of its intact file; this and later attempts cannot have failed.
     """
     heard = {_key(failure) for failure in known}
     by_episode: dict[str, list[FailedAttempt]] = {}
@@ -285,7 +285,7 @@ def _take(connection: Connection, row: Row[Any], attempt: int, now: datetime) ->
 
 
 def _exhaust(connection: Connection, row: Row[Any], now: datetime, *, has_successor: bool) -> None:
-    _made(_EXHAUST, connection, row, {"has_successor": has_successor, "why": f"given up before, {_SOURCE}"}, now)
+    _made(_EXHAUST, connection, row, {"has_successor": has_successor, "why": f"failed earlier, {_SOURCE}"}, now)
 
 
 def _made(how: Transition, connection: Connection, row: Row[Any], values: Mapping[str, Any], now: datetime) -> Row[Any]:

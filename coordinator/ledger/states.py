@@ -29,7 +29,7 @@ class Event(StrEnum):
     CLAIMED = "claimed"  # a worker claimed it under a new fence
     ANNOUNCED = "announced"  # its worker announced that the bundle can be pulled
     ARCHIVED = "archived"  # the bundle was validated and published
-    ADOPTED = "adopted"  # the bundle was found published at start, without a commit
+    ADOPTED = "adopted"  # found at the start: the bundle is published, but the ledger had no commit of it
     TASK_FAILED = "task_failed"  # task failure; the next attempt follows
     EXHAUSTED = "exhausted"  # task failure that uses up the attempts of this draw, or a layout that is refused
     RELEASED = "released"  # its worker returned it without an outcome
@@ -46,7 +46,7 @@ FORMER_EVENTS = MappingProxyType({"missed": Event.TASK_FAILED, "hurt": Event.WOR
 
 
 def event_name(recorded: str) -> str:
-    """Returns the current name of a recorded event, which a ledger of an older format may store by its former name."""
+    """Returns the current name of a recorded event, which a ledger of an older format may store by an older name."""
     return FORMER_EVENTS.get(recorded, recorded)
 
 
@@ -98,7 +98,9 @@ def next_state(state: JobState, event: Event) -> JobState:
         return TRANSITIONS[state, event]
     except KeyError:
         fitting = ", ".join(sources(event))
-        raise InvalidTransition(f"a job that is {state} cannot be {event}; only from: {fitting}") from None
+        raise InvalidTransition(
+            f"a job that is {state} cannot be {event}; it must be in one of the states: {fitting}"
+        ) from None
 
 
 def sources(event: Event) -> tuple[JobState, ...]:

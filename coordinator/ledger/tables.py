@@ -88,7 +88,7 @@ Index(
 )
 
 IS_EPISODE = jobs.c.tier != BUILD
-"""Condition that a job makes an episode."""
+"""Condition that a job produces an episode, not a layout."""
 
 attempts = Table(
     "attempts",
@@ -197,7 +197,7 @@ job_tallies = Table(
     Column("split", String(32), primary_key=True),
     Column("superseded", Boolean, primary_key=True),
     Column("jobs", Integer, nullable=False, comment="number of jobs"),
-    comment="Number of jobs by state and cell; triggers keep it.",
+    comment="Number of jobs by state and cell; triggers update it.",
 )
 
 attempt_tallies = Table(
@@ -206,5 +206,5 @@ attempt_tallies = Table(
     Column("outcome", String(16), primary_key=True),
     Column("attempts", Integer, nullable=False, comment="number of attempts"),
     Column("steps", BigInteger, nullable=False, comment="sum of their steps"),
-    comment="Number of attempts by outcome; triggers keep it.",
+    comment="Number of attempts by outcome; triggers update it.",
 )

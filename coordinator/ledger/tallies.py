@@ -20,7 +20,7 @@ _COUNT_ATTEMPTS = select(
     attempts.c.outcome, func.count().label("attempts"), func.sum(attempts.c.steps).label("steps")
 ).group_by(attempts.c.outcome)
 _HAS_TALLIES = "has_tallies"
-"""Key of the connections of a ledger with counts, which it keeps."""
+"""Key in `Connection.info` that marks connections of a ledger with counts."""
 _TALLIES = ((jobs, job_tallies, _COUNT_JOBS), (attempts, attempt_tallies, _COUNT_ATTEMPTS))
 
 
@@ -28,7 +28,7 @@ def install_tallies(connection: Connection) -> None:
     """Creates the triggers, and counts the rows that are in the ledger already; writes nothing if the counts are right.
 
     Args:
-        connection: within a transaction of the writer, of a ledger that has all tables.
+        connection: connection of the writer within a transaction; the ledger has all tables.
     """
     for counted, tally, count in _TALLIES:
         for statement in _triggers(connection.dialect.name, counted, tally):
@@ -40,14 +40,14 @@ def install_tallies(connection: Connection) -> None:
 
 
 def job_counts(connection: Connection) -> Select[Any]:
-    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded; without
-    builds of layouts."""
+    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded; builds of
+    layouts are not counted."""
     return select(job_tallies).where(job_tallies.c.tier != BUILD) if _has_tallies(connection) else _COUNT_JOBS
 
 
 def build_counts(connection: Connection) -> dict[str, int]:
     """Returns the number of layouts that workers build by state; empty if there are none."""
-    if not _has_tallies(connection):  # no ledger of an older version has builds
+    if not _has_tallies(connection):  # ledgers of older versions have no builds
         return {}
     count = select(job_tallies.c.state, func.sum(job_tallies.c.jobs)).where(
         job_tallies.c.tier == BUILD, job_tallies.c.superseded.is_(False), job_tallies.c.jobs > 0
@@ -61,7 +61,7 @@ def attempt_counts(connection: Connection) -> Select[Any]:
 
 
 def _has_tallies(connection: Connection) -> bool:
-    """Returns whether a ledger has counts; one of an older version has none until it is opened for writing."""
+    """Returns whether a ledger has counts; a ledger of an older version gets them when it is opened for writing."""
     if _HAS_TALLIES not in connection.info and inspect(connection).has_table(job_tallies.name):
         connection.info[_HAS_TALLIES] = True
     return _HAS_TALLIES in connection.info
@@ -109,7 +109,7 @@ def _subtract(tally: Table) -> str:
 
 
 def _amount(name: str, tally: Table, row: str = "NEW") -> str:
-    """Returns what a row adds to a column of the tally: 1 to the number of rows, or its value."""
+    """Returns what a row adds to a column of the tally: 1 for the number of rows, otherwise its value."""
     return "1" if name == tally.name.replace("_tallies", "s") else f"{row}.{name}"
 
 

@@ -82,7 +82,8 @@ def _ask(
 def _open(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Session:
     """Connects to the first endpoint that accepts a connection.
 
-    One by one, because a name that this host cannot resolve would use up the time of the others.
+    Tries one endpoint after another: if zenoh tried them together, a name that this host cannot resolve would use up
+    the time of the other endpoints.
 
     Raises:
         zenoh.ZError: no endpoint accepts a connection.

@@ -171,7 +171,8 @@ def _mistakes(error: ValidationError) -> str:
     if count > 10 * _SHOWN_MISTAKES:
         return f"{count} mistakes"
     found = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
-    return "; ".join(f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
+    lines = (f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
+    return "; ".join(lines).replace("\n", "; ")
 
 
 def serve(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:

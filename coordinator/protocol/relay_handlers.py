@@ -151,7 +151,7 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
     if told.is_new and (kept := gateway_episodes.count_by_gateway(connection).get(gateway)):
         return Refusal(
             error=f"the ledger has {kept} episodes at gateway {gateway}, but the gateway's directory is new: "
-            "give its former --out, or another --name; lost episodes are generated again after "
+            "give the --out of its previous start, or another --name; lost episodes are generated again after "
             "`factory gather CORE_DIR --requeue-missing`"
         )
     files = {index: ListedFile(size) for index, size in told.files if told.first <= index <= told.last}

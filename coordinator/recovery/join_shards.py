@@ -1,7 +1,7 @@
-"""Joins the shards of a run into one dataset: copies their episodes, and records these and their failed attempts.
+"""Joins the shards of a run into one dataset: copies their episodes, and records episodes and failed attempts.
 
-The dataset is that of the whole run, with the same digest. The module runs without a coordinator, changes no shard, and
-can be repeated after an interruption.
+The result is the dataset of the whole run, with the same digest. The module runs without a coordinator, changes no
+shard, and can be repeated after an interruption.
 """
 
 from __future__ import annotations
@@ -282,4 +282,5 @@ def _record(
         record_failures(connection, plan, catalog, told, known, now, ends)
         for one in copied:
             trouble = record_whole(connection, plan, catalog, one, now, ends[one.index])
-            assert not trouble, trouble  # classified with this ledger, which is locked
+            # the files were classified with this ledger, and the lock excludes other writers
+            assert not trouble, trouble

@@ -80,7 +80,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
     unsure = {index: present[index] for index in difference.strays}
     verdicts = _validate_all(archive, engine, terms, checker, unsure, difference)
     _require_own_plan(archive, terms, verdicts, len(recorded))
-    result.quarantined += [archive.quarantine(path, "no episode by its name") for path in archive.foreign()]
+    result.quarantined += [archive.quarantine(path, "its name is not that of an episode") for path in archive.foreign()]
     with engine.begin() as connection:
         for index in difference.missing:
             _requeue(connection, index, now, GONE, result)
@@ -155,7 +155,7 @@ def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Ve
     strange = [found for found in verdicts.values() if isinstance(found, ForeignEpisode)]
     if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
         raise UsageError(
-            f"{archive.root} holds {len(strange)} episodes, none of them of run {terms.plan.run}; the first is "
+            f"{archive.root} has {len(strange)} episodes, and none belongs to run {terms.plan.run}; the first is "
             f"{strange[0]}: give the plan of the dataset, or choose another --out"
         )
 

@@ -147,7 +147,7 @@ def _reading(url: str, trouble: str) -> Iterator[Connection | None]:
 def _of_shards(root: Place) -> Iterator[Action]:
     listed = list_episodes(root)
     for name, why in listed.damaged.items():
-        yield Action(kind=RepairKind.REWRITE, what=f"{EPISODES}/{name}", why=f"{why}; its intact episodes are kept")
+        yield Action(kind=RepairKind.REWRITE, what=f"{EPISODES}/{name}", why=f"{why}; intact episodes are kept")
     for why in listed.twice:
         yield Action(kind=RepairKind.REWRITE, what=EPISODES, why=why)
     if listed.index_fault:
@@ -175,10 +175,10 @@ def _surplus_textures(dataset: RepairInput) -> list[Place]:
 
 def _of(root: Place, survey: Survey) -> Iterator[Action]:
     for summary in survey.adopt:
-        why = f"whole, draw {summary.draw}, attempt {summary.attempt}, and the ledger does not own it"
+        why = f"intact, draw {summary.draw}, attempt {summary.attempt}, and not recorded in the ledger"
         yield Action(kind=RepairKind.ADOPT, what=summary.file_name, why=why)
     for quarantined, summary in survey.restore:
-        why = f"a whole episode in quarantine, draw {summary.draw}, attempt {summary.attempt}"
+        why = f"an intact episode in quarantine, draw {summary.draw}, attempt {summary.attempt}"
         yield Action(kind=RepairKind.RESTORE, what=relative_name(quarantined, root), why=why)
     for path, why in survey.quarantine:
         yield Action(
@@ -193,7 +193,7 @@ def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool
     for name, why in _table_findings(dataset.root, ledger).items():
         yield Action(kind=RepairKind.REWRITE, what=name, why=why)
     if changes and ledger is not None:
-        yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="follows the actions above")
+        yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="its rows change with the actions above")
 
 
 def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
@@ -211,7 +211,7 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     elif ledger is not None:
         failed = count_failures(ledger)
         if failed != len(reasons):
-            found[ATTEMPTS_FILE] = f"{len(reasons)} rows, the ledger has {failed}"
+            found[ATTEMPTS_FILE] = f"it has {len(reasons)} rows, the ledger has {failed} failed attempts"
     try:
         read_dataset_meta(root)
     except WorldError as error:

@@ -62,7 +62,7 @@ def survey_archive(
     recorded = recorded_files(ledger) if ledger is not None else {}
     listed = list_episodes(root)
     files = listed.episodes
-    result.quarantine += [(path, "no episode by its name") for path in listed.foreign]
+    result.quarantine += [(path, "its name is not that of an episode") for path in listed.foreign]
     classifier = StrayClassifier(PlannedDraws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
     difference = diff_archive(_read_files(files, recorded, on_progress), recorded)
     result.whole = len(difference.same) + len(difference.elsewhere)

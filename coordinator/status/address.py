@@ -1,4 +1,4 @@
-"""Addresses of HTTP servers: parses and protects them, opens their sockets, and lists the names of a request's host."""
+"""Addresses of HTTP servers: parses them, opens their sockets, and checks the host name in a request."""
 
 from __future__ import annotations
 

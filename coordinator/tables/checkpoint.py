@@ -83,7 +83,7 @@ class Checkpoints:
         return meta
 
     def _present_scenes(self) -> dict[str, str]:
-        """Returns the digests of the packages in the order of the plan, after assigning instances of new ones."""
+        """Returns the digests of the packages in the order of the plan; assigns the instances of new packages."""
         parts = [part for part in self._plan.parts if part.name in self._catalog]
         for part in parts:
             entry = self._catalog[part.name]

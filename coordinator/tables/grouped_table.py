@@ -1,7 +1,7 @@
 """Writes a table of a dataset in row groups by episode number, and copies the row groups that have not changed.
 
 A copied group has the bytes that it would have if it were written again: the same ledger gives the same file. Bytes
-that this process has not written are not copied, because others can change the file.
+that this process has not written are not copied, because other processes can change the file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Writes a Parquet file by row groups, and copies row groups of its previous version without decoding them.
 
 pyarrow encodes each row group as a separate file. This module moves the bytes of the group into the table and adjusts
-the offsets in its description. The file has the bytes that one `pyarrow.parquet.ParquetWriter` gives.
+the offsets in its description. The bytes of the file equal those of a single `pyarrow.parquet.ParquetWriter`.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class RowGroupWriter(Closing):
         return self._append(data, len(table), encode(_moved(group, self._end - len(_MARK))))
 
     def copy(self, former: BinaryIO, group: RowGroup) -> RowGroup | None:
-        """Appends a row group of another file with the same schema; returns `None` if its bytes are not the same.
+        """Appends a row group of another file with the same schema; returns `None` if its bytes have changed.
 
         Args:
             former: file that contains the group.

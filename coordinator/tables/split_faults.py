@@ -24,7 +24,7 @@ from schemas.storage.dataset_files import METADATA_FILE, SPLITS_FOLDER
 from schemas.storage.place import Place, children, table_of
 
 SURPLUS = f"{METADATA_FILE} has no rows for it"
-_OTHER_ROWS = f"its rows are not those of {METADATA_FILE}"
+_OTHER_ROWS = f"its rows differ from {METADATA_FILE}"
 
 
 class FaultKind(StrEnum):

@@ -42,7 +42,7 @@ from schemas.storage.place import Place
 
 _READERS = 8
 _THUMBNAIL_PX = 160
-"""Width and height of a thumbnail, pixels: a quarter of those of a frame."""
+"""Width and height of a thumbnail, pixels: a quarter of the size of a frame."""
 _QUALITY = 85
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 _FEATURES = json.dumps({"info": {"features": {THUMBNAIL: {"_type": "Image"}}}}).encode()
@@ -59,9 +59,11 @@ def write_split_tables(
 
     Args:
         archive: archive of the dataset, with a current `metadata.parquet`.
-        seconds: time limit for thumbnails, seconds; the remaining ones are null until the next call. `None` for none.
+        seconds: time limit for thumbnails, seconds; thumbnails that are not made in time are null until the next call.
+            `None` sets no limit.
         deep: whether to check every row and thumbnail for damage, instead of the metadata of each file only.
-        draw: returns frame 0 of an episode that does not store it, by id; thumbnails that are missing are then made.
+        draw: function that renders frame 0 of an episode without stored frames, by id; missing thumbnails are then
+            made with it.
 
     Raises:
         WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.

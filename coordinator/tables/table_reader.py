@@ -1,4 +1,4 @@
-"""Reads the dataset's tables: their digest, and what damaged ones still have of lost ledger records. Writes no file."""
+"""Reads the dataset's tables: their digest, and rows that replace lost ledger records. Writes no file."""
 
 from __future__ import annotations
 

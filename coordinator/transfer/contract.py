@@ -65,13 +65,13 @@ class LedgerClient(Protocol):
     """
 
     def keep(self, pulls: Sequence[Pull], seconds: float) -> Sequence[bool]:
-        """Extends each lease to at least `seconds` from now; returns which ones are in force."""
+        """Extends each lease to at least `seconds` from now; returns for each lease whether it is in force."""
 
     def is_owned(self, index: int) -> bool:
         """Returns whether the ledger records the stored episode, so that its file must not be deleted."""
 
     def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
-        """Records published episodes whose leases are in force; returns of which ones the ledger records the file."""
+        """Records published episodes whose leases are in force; returns for each whether its file is recorded."""
 
     def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
         """Reports a bundle that failed validation.

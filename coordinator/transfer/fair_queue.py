@@ -21,8 +21,9 @@ def _never(_turn: Sequence[Any], _item: object) -> bool:
 class FairQueue(Generic[T]):
     """Thread-safe fair queue.
 
-    An owner gets a second turn in service only while no owner with fewer waits. The service time of a new owner
-    starts at the minimum of the others, so that it is neither preferred nor delayed.
+    An owner gets a second turn in service only while no owner with fewer turns in service has waiting items. The
+    service time of a new owner starts at the minimum of the others, so that the new owner is neither preferred nor
+    delayed.
 
     Args:
         joins: function of the items of a turn and the next waiting item of the same owner, which returns whether that

@@ -50,7 +50,7 @@ class Transfer:
     seconds: float = 0.0
     """Transfer time so far, seconds."""
     is_alone: bool = False
-    """Whether the bundle is not fetched together with others, because that has failed."""
+    """Whether the bundle is fetched alone, because fetching it together with others has failed."""
     is_refused: bool = False
     """Whether the bundle was refused before it was complete."""
 
@@ -204,8 +204,8 @@ class Fetcher:
             free, wanted = self._archive.free_bytes(), size + to_come + self._settings.reserve_bytes
             if free < wanted:
                 raise TransientError(
-                    f"{free} bytes free, {wanted} required for the bundle, {to_come} bytes of other transfers and the "
-                    "reserve: free some space"
+                    f"{free} bytes are free, but {wanted} are required for the bundles, for {to_come} bytes of other "
+                    "transfers and for the reserve: free some space"
                 )
             self._rest.update((pull.job.index, pull.size) for pull in pulls)
 

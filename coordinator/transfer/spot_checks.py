@@ -1,7 +1,7 @@
-"""Validates transferred bundles: completely, or by their claims if the worker has validated them, with spot checks.
+"""Validates transferred bundles completely, or only their claims if their worker has validated them.
 
-A worker cannot predict which of its bundles are spot checks: the draw depends on a secret of this process and on the
-announced digest. The module does not transfer, publish or refuse bundles.
+Spot checks of such bundles are complete. A worker cannot predict which of its bundles are spot checks: the draw depends
+on a secret of this process and on the announced digest. The module does not transfer, publish or refuse bundles.
 """
 
 from __future__ import annotations
@@ -44,12 +44,14 @@ class ValidatedBundle(NamedTuple):
 class SpotCheckedValidation:
     """Thread-safe validation of bundles, complete or with spot checks.
 
-    A host's first bundle is always validated completely. After an invalid bundle, all bundles of the host are.
+    A host's first bundle is always validated completely. After an invalid bundle, all bundles of the host are
+    validated completely.
 
     Args:
         checker: validator of bundles.
         meters: counters of the coordinator.
-        share: share of the bundles validated by their worker that is validated here, 0 to 1; `None`: all bundles.
+        share: share of spot checks, 0 to 1: bundles that are validated completely although their worker has validated
+            them. `None` validates all bundles completely.
         secret: key of the draw; by default new random bytes.
     """
 
@@ -57,7 +59,7 @@ class SpotCheckedValidation:
         self._checker, self._meters, self._share = checker, meters, share
         self._secret = secret or secrets.token_bytes(32)
         self._is_trusted: dict[str, bool] = {}
-        """Mapping of host to the result of its complete validations; hosts without one are missing."""
+        """Result of the complete validations by host; hosts without a complete validation are missing."""
 
     def validate(self, arrivals: Sequence[Arrival]) -> list[ValidatedBundle | InvalidBundle]:
         """Validates bundles; returns the result or the violations of each.

@@ -22,7 +22,7 @@ class BundleFile(NamedTuple):
     job: Job
     """Leased job."""
     candidates: tuple[Target, ...] = ()
-    """Targets of the compiled scene that the episode may have; none skips the comparison."""
+    """Targets of the compiled scene that the episode may have; if empty, they are not compared."""
     scope: Scope = Scope.ALL
     """Part of the bundle that is read."""
     sha256: str | None = None

@@ -20,15 +20,15 @@ from schemas.errors import InvalidBundle
 from schemas.support.planar import yaw_of
 
 EMPTY_SLACK_SHARE = 0.001
-"""Tolerated share of pixels with depth and no id or the reverse, because two passes may rasterise them."""
+"""Tolerated share of pixels with depth but no id, or an id but no depth: two passes may rasterise differently."""
 FROZEN_DEPTH = (0.005, 0.005)
-"""Motion (metres, radians) after which depth must differ: the float32 depth of any surface changes with far less."""
+"""Motion (metres, radians) after which depth must differ: far less motion changes the float32 depth of a surface."""
 FROZEN_COLOUR = (0.15, 0.10)
 """Motion (metres, radians) after which colour must differ: it may stay equal for a while in front of a plain wall."""
 DEPTH_SLACK_M = 1e-3
 """Tolerated depth beyond the camera's far plane, metres: rounding of the projection."""
 MAX_FINDINGS = 20
-"""Maximum number of listed findings about single frames; further ones are counted only."""
+"""Maximum number of listed findings about single frames; further findings are counted only."""
 
 _GLANCE = 64
 

@@ -39,7 +39,7 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
     reader = composer.reader(said.language)
     if job.is_false_premise:
         is_absent = scene.verifier.is_false_premise(said.meant, reader, view)
-        fault = "" if is_absent else "an object of the scene fits, or may fit"
+        fault = "" if is_absent else "an object of the scene fits, or may fit, although the premise should be false"
     else:
         fault = scene.verifier.check(said.meant, reader, view, number)
     if said.clean is not None and not fault:

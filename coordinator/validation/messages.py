@@ -39,7 +39,7 @@ class ValidationTask(Model):
     job: Job | None = None
     """Leased job; `None` if the bundle is the package of a scene."""
     candidates: tuple[Target, ...] = ()
-    """Targets of the compiled scene that the episode may have; none skips the comparison."""
+    """Targets of the compiled scene that the episode may have; if empty, they are not compared."""
     scope: Scope = Scope.ALL
     """Part of the bundle that is read."""
     sha256: Sha256 | None = None

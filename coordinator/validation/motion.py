@@ -30,13 +30,13 @@ LAG_STEPS = 6
 STEP_SLACK_M = 0.003
 """Tolerated displacement per step beyond the command, metres: measured below 0.001 without contact."""
 CONTACT_STEP_SLACK_M = 0.02
-"""The same with contact, metres: the solver separates overlaps; measured below 0.011."""
+"""Tolerated displacement per step with contact, metres: the solver separates overlaps; measured below 0.011."""
 SIDE_SLACK_M = 0.003
 """Tolerated lateral displacement per step, metres: measured below 0.0005 in successes without contact."""
 YAW_STEP_SLACK_RAD = 0.015
 """Tolerated turn per step beyond command and skid without contact, radians: measured up to 0.0063 in 220 successes."""
 CONTACT_YAW_STEP_SLACK_RAD = 0.08
-"""The same with contact, radians: an off-centre push turns the robot; measured below 0.034."""
+"""Tolerated turn per step with contact, radians: off-centre pushes turn the robot; measured below 0.034."""
 PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
 """Tolerance (metres, share) of the driven distance in a window without contact: wheels follow commands to 0.2 %."""
 TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.10, 0.10
@@ -45,9 +45,9 @@ SKID_TURN = 4.0
 """Additional turn, radians, per radian of turn commanded at 1 m/s. The tail-heavy robot oversteers in fast bends and
 can spin at 5 rad/s (4 of 700 episodes, all timeouts). Slow turns and straight motion have no allowance."""
 SKID_PATH_M = 1.0
-"""Tolerated reduction of the distance per second of such a bend, metres: measured up to 0.65 while spinning."""
+"""Tolerated reduction of the distance per second of a fast bend, metres: measured up to 0.65 while spinning."""
 SKID_STEP_M = 0.008
-"""Tolerated lateral or backward displacement per step, metres per m/s2 of such a bend."""
+"""Tolerated lateral or backward displacement per step, metres per m/s2 of a fast bend."""
 SKID_STEPS = 90
 """Number of periods for which a skid may outlast its bend."""
 WINDOW_STEPS = 60
@@ -155,8 +155,8 @@ def _window_findings(drive: _Drive) -> list[str]:
     path_error = np.abs(_window_sums(drive.along) - wanted) - PATH_SLACK_SHARE * wanted - SKID_PATH_M * skid
     turn_error = np.abs(_window_sums(drive.turned) - wanted_turn) - TURN_SLACK_SHARE * effort - SKID_TURN * skid
     return [
-        *_beyond("distance driven in a window against the commands", "m", path_error, PATH_SLACK_M, 0.0),
-        *_beyond("angle turned in a window against the commands", "rad", turn_error, TURN_SLACK_RAD, 0.0),
+        *_beyond("difference between driven and commanded distance in a window", "m", path_error, PATH_SLACK_M, 0.0),
+        *_beyond("difference between turned and commanded angle in a window", "rad", turn_error, TURN_SLACK_RAD, 0.0),
     ]
 
 

@@ -20,8 +20,8 @@ DISTANCE_SLACK_M = 1e-6
 POSE_SLACK = 1e-6
 """Tolerance between the recorded spawn pose and pose 0, metres and radians; both use the same formula."""
 SPEED_SLACK_MPS = 1e-3
-"""Tolerance between measured speed and speed of the recorded poses, m/s: poses of format 1 are float32, which gives
-4e-6 m at 50 m, times 60 Hz."""
+"""Tolerance between measured speed and speed of the recorded poses, m/s: float32 poses of format 1
+have a resolution of 4e-6 m at 50 m; times 60 Hz."""
 RADIUS_SLACK_M = 1e-5
 """Tolerance between distances of float64 and of float32 poses (format 1), metres."""
 
@@ -63,7 +63,7 @@ def arrival_findings(meta: EpisodeMeta, pixels: int) -> list[str]:
     at_end = pixels >= least
     found = []
     if meta.rollout.target_in_view not in (at_end, None):
-        shown = f"the last frame shows {pixels} pixels of the target, visible is {least}"
+        shown = f"the last frame shows {pixels} pixels of the target; it is in view from {least} pixels"
         found.append(f"target_in_view {meta.rollout.target_in_view}, but {shown}")
     if meta.job.demonstration.target_in_view and not at_end:
         found.append(f"the last frame shows {pixels} pixels of the target, the plan requires {least}")
@@ -141,14 +141,14 @@ def _success_findings(meta: EpisodeMeta, distances: NDArray[np.float64], poses: 
     farthest = float(distances[-steps:].max())
     if not farthest <= task.success_radius_m + RADIUS_SLACK_M:
         found.append(
-            f"no success: {farthest:.4f} m from the target during the last {steps} steps, radius "
+            f"no success: {farthest:.4f} m from the target during the last {steps} steps; the success radius is "
             f"{task.success_radius_m:g} m"
         )
     speed = float(np.linalg.norm(np.diff(last, axis=0), axis=1).max()) * task.control_hz
     if not speed < task.stationary_speed_mps + SPEED_SLACK_MPS:
         found.append(
-            f"no success: {speed:.4f} m/s during the last {steps} steps, stationary is below "
-            f"{task.stationary_speed_mps:g} m/s"
+            f"no success: {speed:.4f} m/s during the last {steps} steps; a stationary robot is slower "
+            f"than {task.stationary_speed_mps:g} m/s"
         )
     return found
 

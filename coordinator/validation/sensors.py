@@ -40,7 +40,8 @@ def survey_measurements(bundle: BundleReader, stride: int = 1) -> list[str]:
 
     Args:
         bundle: open bundle.
-        stride: decodes one of so many measurements of each sensor, and the last one; digests need all of them.
+        stride: distance between two decoded measurements of a sensor; the last one is always decoded. The digest
+            of a sensor is compared only if all its measurements are decoded.
     """
     rig = bundle.meta.job.view.rig
     known = np.zeros(1 << 16, dtype=bool)

@@ -57,13 +57,15 @@ def choice_findings(meta: EpisodeMeta) -> list[str]:
     """Returns the contradictions between the target of an episode and the draw of its job; reads no image."""
     view, choices = meta.job.start_view, meta.choices
     if view is None or view.choice is None:
-        return ["objects that could be the target, of a job whose plan names the target"] if choices else []
+        return ["choices are recorded, but the plan of the job names the target"] if choices else []
     found = []
     if len(choices) <= view.least_same_category:
-        found.append(f"{len(choices)} objects could be the target, the plan requires {view.least_same_category + 1}")
+        found.append(
+            f"{len(choices)} objects could be the target, the plan requires at least {view.least_same_category + 1}"
+        )
     stray = sorted(set(choices).difference(view.choice.among))
     if stray or list(choices) != sorted(set(choices)):
-        found.append(f"choices {list(choices)}, the job permits {list(view.choice.among)}, each once, in this order")
+        found.append(f"choices {list(choices)}: the job permits each of {list(view.choice.among)} once, in this order")
     if choices and meta.target_instance_id != view.choice.of(choices):
         found.append(f"the target is object {meta.target_instance_id}, the job selects {view.choice.of(choices)}")
     return found
@@ -80,4 +82,4 @@ def _choice_findings(
     measured = tuple(each.instance_id for each in there)
     if measured == meta.choices:
         return []
-    return [f"objects {list(measured)} could be the target in the first frame, recorded are {list(meta.choices)}"]
+    return [f"objects {list(measured)} could be the target in the first frame, but choices are {list(meta.choices)}"]

@@ -41,8 +41,8 @@ def validate(
     Args:
         bundle: open bundle; opening it has checked members, shapes, dtypes and bounds of the arrays.
         job: leased job; `None` validates the bundle against its recorded job.
-        candidates: targets of the compiled scene that the episode may have, see `candidates_of`; none skips the
-            comparison.
+        candidates: targets of the compiled scene that the episode may have, see `candidates_of`; if empty, they are
+            not compared.
         on_frame: progress callback with the number of each processed frame.
         scope: part of the bundle that is read. `SAMPLE` decodes `sampled_frames`, for bundles that this user's workers
             wrote on this machine; `CLAIM` decodes no frame and does not check the drive.
@@ -77,7 +77,7 @@ def validate(
 def sampled_frames(meta: EpisodeMeta) -> list[int]:
     """Returns the steps of the first and the last frame and of one frame in `_STRIDE`.
 
-    The content digest selects these, so that different episodes show different steps.
+    The content digest selects the steps, so that they differ between episodes.
     """
     last = meta.rollout.num_steps - 1
     return sorted({0, *range(int(meta.content_digest, 16) % _STRIDE, last, _STRIDE), last})

@@ -80,7 +80,7 @@ class Validator(Closing):
         self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
         self._free: queue.LifoQueue[_Child] = queue.LifoQueue()
         self._all = [_Child(self._limits) for _ in range(children)]
-        # the last one used is the next one, so that only as many start as validate at the same time
+        # the child used last is used next, so that no more children start than validate at the same time
         for child in self._all:
             self._free.put(child)
 
@@ -92,7 +92,7 @@ class Validator(Closing):
         Args:
             path: path of the bundle, usually a part file.
             job: leased job.
-            candidates: targets of the compiled scene that the episode may have; none skips the comparison.
+            candidates: targets of the compiled scene that the episode may have; if empty, they are not compared.
             scope: part of the bundle that is read.
 
         Returns:
@@ -163,7 +163,7 @@ class Validator(Closing):
         )
 
     def _with_sentence(self, verdict: Verdict, job: Job) -> EpisodeSummary:
-        """Returns the row of a valid bundle; its instruction fits the scene, if it is a verified one.
+        """Returns the row of a valid bundle, after checking that a verified instruction fits the scene.
 
         The children have no scenes, so this process compares the instruction with the scene.
         """

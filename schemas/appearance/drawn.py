@@ -17,7 +17,7 @@ class LampLight(Model):
     """Light of one lamp group, or of the sky."""
 
     gain: Gain
-    """Factor of its light; 0 is off."""
+    """Factor of the light of the group; 0 is off."""
     temperature_k: Positive
     """Colour temperature, kelvin."""
 
@@ -41,13 +41,13 @@ class SurfaceChange(Model):
     surface: Line
     """Kind of the surface: `wall`, `floor`, `ceiling` or `object`."""
     layer: Annotated[int, Field(ge=-1, le=63)]
-    """Former texture layer, or -1."""
+    """Texture layer in the compiled scene, or -1."""
     colour: Hex
     """Former colour."""
     to_colour: Hex
     """New colour, which multiplies the texture."""
     texture: Line | None = None
-    """New texture; null keeps the former one."""
+    """New texture; null keeps the texture of the compiled scene."""
     tile_m: Positive = 1.0
     """Length of one repeat of a new texture, metres."""
 

@@ -33,8 +33,8 @@ class LampGroup(Model):
     """Lamps that are switched together."""
 
     kind: Line
-    """`lamps` for those that shine down, `windows` for large bright surfaces at any other angle, `screens` for small
-    ones."""
+    """`lamps` for surfaces that shine down; `windows` for large bright surfaces at any other angle, `screens` for
+    small ones."""
     lamps: Annotated[int, Field(ge=1)]
     """Number of lamps."""
     centre_m: tuple[float, float, float]

@@ -24,8 +24,8 @@ from schemas.terms import Recording
 from schemas.view import ViewSettings
 
 DATASET_FORMAT = 2
-"""Newest version of the dataset directory: 2 has a rig or an appearance in its plan, 1 has neither. A reader opens
-its own version and older ones, and rejects newer ones."""
+"""Newest version of the dataset directory: in version 2, the plan has a rig or an appearance; in version 1, neither. A
+reader opens its own version and older ones, and rejects newer ones."""
 _FORMAT_WITHOUT_RIG = 1
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")

@@ -86,7 +86,7 @@ class EpisodeSummary(Model):
     final_ne_m: NonNegative
     """Planar navigation error (NE) at the end, metres."""
     collision_count: Count
-    """Number of steps with a contact other than the floor."""
+    """Number of steps in which the robot touches anything but the floor."""
     template_id: Name
     """Name of the instruction template."""
 

@@ -31,7 +31,7 @@ class ArraySpec:
     high: float | tuple[float, ...] | None = None
     """Largest valid value, of all columns or of each; `None` for no bound."""
     former_dtype: DTypeLike | None = None
-    """Type of the elements in bundles of format 1, if it was another one."""
+    """Type of the elements in bundles of format 1, if it differs there."""
     may_be_nan: bool = False
     """Whether NaN, which means no value, is valid."""
 

@@ -36,24 +36,24 @@ class TargetChoice(Model):
     among: InstanceIds
     """Objects of the category that the episode may have as its target, in the order of their ids."""
     share: Annotated[float, Field(ge=0, lt=1)]
-    """Random number: of the k objects that could be the target, the one with the number `floor(share * k)`, from 0, in
-    the order of their ids, is the target."""
+    """Random number that selects the target: of the k objects that could be the target, in the order of their ids, the
+    one at the position `floor(share * k)`, counted from 0."""
 
     def of(self, found: Sequence[Item]) -> Item:
-        """Returns the drawn one of at least one object, which are in the order of their ids."""
+        """Returns the selected object; `found` contains at least one object, in the order of their ids."""
         return found[int(self.share * len(found))]
 
 
 class StartView(Model):
     """Conditions on the image and the heading at the start; docs/design/starts.md#start-view.
 
-    JSON has the published names `rivals`, `alike` and `least_alike` of three fields.
+    In JSON, three fields have their published names: `rivals`, `alike` and `least_alike`.
     """
 
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
     within_rad: NonNegative | None = None
-    """Largest angle between heading and target, which is in view; `None` sets no limit."""
+    """Largest angle between heading and target, which then must be in view; `None` sets no condition."""
     other_referents: Annotated[InstanceIds, Field(alias="rivals")] = ()
     """Other objects that the instruction fits. If there are any, the target is in view and none of them is."""
     same_category: Annotated[InstanceIds, Field(alias="alike")] = ()
@@ -106,14 +106,14 @@ def start_view_findings(
         same = shown.intersection(view.same_category)
         if len(same) < view.least_same_category:
             least = view.least_same_category
-            found.append(f"{len(same)} other objects of the target's category are in view, not {least}")
+            found.append(f"{len(same)} other objects of the target's category are in view, at least {least} must be")
         elif view.ranks is not None:
             found += _rank_findings(view.ranks, target, same, ids, depth, camera, min_pixels)
         return found
     if view.shows_target:
         found.append("the target is not in view")
     others = sorted(shown.intersection(view.same_category))
-    return [*found, f"objects {others} of the target's category are in view, the target is not"] if others else found
+    return [*found, f"objects {others} of the target's category are in view, but not the target"] if others else found
 
 
 def _rank_findings(

@@ -46,7 +46,7 @@ class _Options(NamedTuple):
 
 
 class Composer:
-    """Writer of instructions by a language file.
+    """Writer of instructions according to a language file.
 
     Args:
         spec: content of the language file.
@@ -64,7 +64,7 @@ class Composer:
                     self._patterns[code, pattern.held_out][pattern.register].append(pattern)
 
     def missing_nouns(self, kinds: Sequence[str]) -> list[str]:
-        """Returns a sentence for each kind and language without a noun."""
+        """Returns a message for each kind that has no noun in a language."""
         return [
             f"{language.grammar.name} has no noun for {kind!r}; add it to [nouns.{code}] of the language file"
             for code, language in self._by_language.items()
@@ -77,7 +77,7 @@ class Composer:
         return self._by_language[code].reader
 
     def patterns_of(self, code: str, held_out: bool) -> frozenset[str]:
-        """Returns the names of the sentence patterns of a language; empty for another language."""
+        """Returns the names of the sentence patterns of a language; empty if the file does not use the language."""
         groups = self._patterns.get((code, held_out), {})
         return frozenset(pattern.template_id for group in groups.values() for pattern in group)
 
@@ -157,7 +157,7 @@ class Composer:
         options: _Options,
         rng: np.random.Generator,
     ) -> Instruction | None:
-        """Returns one instruction, or `None` if no expression exists or the verifier rejects the drawn one."""
+        """Returns one instruction, or `None` if no expression exists or the verifier rejects the drawn sentence."""
         groups = options.groups
         if not groups:
             return None
@@ -212,7 +212,8 @@ class Composer:
     ) -> Instruction | None:
         """Returns an instruction that no object of the scene fits; `None` if none is found.
 
-        It names a category, or the category of an object with a colour or a landmark, that does not exist.
+        It names a category that the scene lacks, or the category of an object with a colour or a landmark that no such
+        object has.
 
         Args:
             scene: prepared scene.
@@ -250,7 +251,7 @@ class Composer:
         ]
 
     def _mistake(self, rng: np.random.Generator) -> MistakeKind | None:
-        """Draws the kind of error of a sentence; `None` for most, or if the language file has none."""
+        """Draws the kind of error of a sentence; `None` for a sentence without an error."""
         draw = rng.random() if self.spec.mistakes else 1.0
         for kind, share in self.spec.mistakes.items():
             if draw < share:
@@ -296,7 +297,7 @@ def _composer(text: str) -> Composer:
 
 
 def composer_of(spec: LanguageSpec) -> Composer:
-    """Returns the writer of instructions of a language file; those of the most recently used files are kept."""
+    """Returns the writer of instructions of a language file; keeps the writers of recently used files."""
     return _composer(spec.model_dump_json())
 
 

@@ -181,7 +181,7 @@ class Expression(Model):
 
     @property
     def families(self) -> frozenset[Family]:
-        """Families of the features; a superclass is not among them, because the kind alone does not show it."""
+        """Families of the features, without the superclass, which `kind` alone does not show."""
         parts = {
             Family.COLOUR: self.colour,
             Family.MATERIAL: self.material,

@@ -84,19 +84,19 @@ class LanguageSpec(Model):
     mistakes: Mistakes = Field(default_factory=dict, exclude_if=lambda it: not it)
     """Share of sentences with a typing or a speech error; omitted if none has one."""
     fit: Literal["one", "any"] = "one"
-    """`one`: an instruction fits the target only. `any`: it says "a" and fits several objects with the target."""
+    """`one`: an instruction fits the target only. `any`: it says "a" and fits the target and other objects."""
     same_category: Count = 0
     """Smallest number of other objects of the target's category in the scene."""
     in_view: Count = 0
-    """Smallest number of these objects that are in view at the start, together with the target; 0 sets no condition."""
+    """Smallest number of other objects of the category in view with the target at the start; 0 sets no condition."""
     balanced: bool = False
     """Whether starts in a plan are drawn until the target is as often the nearest and the most central object of its
     category in view as a random one; needs `in_view`."""
     exchangeable: bool = Field(default=False, exclude_if=lambda it: not it)
     """Whether the target of an episode in a plan is drawn at its start, from the objects of its category that could be
-    the target there; `in_view` counts these. Omitted if not."""
+    the target there; `in_view` counts these objects. Omitted if false."""
     questions: bool = Field(default=False, exclude_if=lambda it: not it)
-    """Whether each episode gets questions with computed answers; omitted if not."""
+    """Whether each episode gets questions with computed answers; omitted if false."""
     false_premises: Fraction = 0.0
     """Share of episodes with one more instruction, which names an object that does not exist."""
     seed: Count = 0
@@ -155,7 +155,7 @@ class LanguageSpec(Model):
         if sum(self.mistakes.values()) > 1:
             raise ValueError("the shares of `mistakes` add up to more than 1")
         if self.fit == "any" and self.redundant:
-            raise ValueError("`redundant` is for instructions that fit one object; set it to 0 or fit to 'one'")
+            raise ValueError("`redundant` is for instructions that fit one object; set it to 0, or set `fit` to 'one'")
         return self
 
     @property

@@ -29,13 +29,13 @@ class ObjectKind(Model):
     prims: tuple[tuple[str, ...], ...] = ()
     """Words of the prim's name that identify a landmark without a category."""
     of: Name | None = None
-    """Category whose objects have this kind if their prim has these words: a pile of boxes is a box by its category."""
+    """Category whose objects have this kind if their prim has its words; a pile of boxes has the category box."""
     surface: bool = False
     """Whether things are put on its top, so that it can be empty."""
     material: bool = False
     """Whether its material can be named."""
     sized: bool = True
-    """Whether its sizes are compared; not if it is flat, or includes another thing, such as the mirror above a sink."""
+    """Whether sizes are compared; false if flat, or if it includes another thing, such as the mirror above a sink."""
 
 
 _ALIKE_COLOURS = frozenset({"brown", "yellow"})
@@ -47,7 +47,7 @@ def may_be_called(colour: str, word: str) -> bool:
 
 
 class RoomRule(Model):
-    """Condition on a room that has a type."""
+    """Condition under which a room has a type."""
 
     has: tuple[Name, ...] = ()
     """Kinds of which the room contains objects."""
@@ -65,7 +65,7 @@ class Kinds(Model):
     kinds: dict[Name, ObjectKind]
     """Known kinds; a category that is not among them has the default properties."""
     seen_as: dict[Name, tuple[tuple[str, ...], ...]]
-    """Words of prims in which a viewer may see an object of a kind, beside the words of the kind's name."""
+    """Words of prims that a viewer may take for an object of a kind, in addition to the words of the kind's name."""
     rooms: dict[Name, RoomRule]
     """Types of rooms, in the order in which they are tested."""
 
@@ -121,7 +121,7 @@ class Kinds(Model):
         return (*own, *((frozenset(words), kind) for kind, group in self.seen_as.items() for words in group))
 
     def special_of(self, category: str, segments: Iterable[str]) -> str:
-        """Returns the kind of an object of a category, which the words of its prim may make a special one."""
+        """Returns the kind of an object: its category, or a special kind of it that words of its prim name."""
         named = self.landmark_of(segments)
         return named[0] if named is not None and self.of(named[0]).of == category else category
 

@@ -23,21 +23,22 @@ class Band(NamedTuple):
 NEXT_TO_M = Band(0.6, 1.6)
 """Gap of footprints for `next_to`, metres."""
 DIRECTION_RAD = Band(math.radians(35), math.radians(75))
-"""Angle from the axis for `left_of` and `right_of`. Goodness falls linearly with
+"""Angle from the exact direction for `left_of` and `right_of`. Goodness falls linearly with
 this angle (Regier & Carlson 2001, attention vector sum); SceneVerse (Jia et al. 2024) has sectors of 45 degrees."""
 DIRECTION_GAP_M = Band(2.0, 4.0)
-"""Gap of footprints for the same relations, metres; Sr3D (Achlioptas et al. 2020) has areas of 1 to 4 m."""
+"""Gap of footprints for left, right, in front and behind, metres; areas of Sr3D (Achlioptas et al. 2020) have 1 to
+4 m."""
 FACING_RAD = Band(math.radians(25), math.radians(75))
-"""Angle from the axis for `in_front_of` and `behind`, which surely hold only if the whole depth of one object is nearer
+"""Angle from the exact direction for `in_front_of` and `behind`, which surely hold only if one object is wholly nearer
 than the other."""
 ALIGNED_RAD = Band(math.radians(5), math.radians(60))
 """Angle between object and landmark in the view for `in_front_of` and `behind`."""
 BETWEEN_ALONG = Band(0.25, 0.05)
 """Smallest share of the way from one landmark to the other for `between`."""
 BETWEEN_ACROSS = Band(0.2, 0.45)
-"""Distance from the line between the landmarks, as a share of its length."""
+"""Distance from the line between the landmarks for `between`, as a share of the length of the line."""
 BETWEEN_SPAN_M = Band(5.0, 7.0)
-"""Distance of the landmarks for `between`, metres."""
+"""Distance between the landmarks for `between`, metres."""
 LEVEL_M = 1.0
 """Difference in height of the lower sides from which horizontal relations do not hold, metres."""
 SAME_BASE_M = 0.5
@@ -55,21 +56,21 @@ REST_M = (-0.03, 0.05)
 BESIDE_M = Band(0.35, 1.2)
 """Gap of footprints for `with_beside`, metres."""
 BESIDE_OTHER_M = 0.3
-"""Smallest difference of the gaps to this object and to the next one that has a top, metres."""
+"""Smallest difference between the gaps of a thing to its object and to the next object with a top, metres."""
 WALL_BASE_M = Band(0.3, 0.1)
 """Smallest height of the lower side for `on_wall`, metres."""
 CORNER_M = Band(0.45, 1.2)
-"""Distance of two perpendicular walls for `in_corner`, metres."""
+"""Distance to two perpendicular walls for `in_corner`, metres."""
 EGO_RAD = Band(math.radians(18), math.radians(6))
 """Smallest angle from the heading for `your_left` and `your_right`."""
 EGO_BEHIND_RAD = Band(math.radians(90), math.radians(170))
-"""Largest angle from the heading for the same relations."""
+"""Largest angle from the heading for `your_left` and `your_right`."""
 AHEAD_RAD = Band(math.radians(10), math.radians(28))
 """Angle from the heading for `ahead`."""
 DISTANCE_GAP_M = 0.5
 """Smallest difference of distances for nearest and farthest, metres; Sr3D's `horizontal_gap` is 0.2."""
 DISTANCE_RATIO = 1.25
-"""Smallest ratio of these distances."""
+"""Smallest ratio of distances for nearest and farthest."""
 VOLUME_RATIO = 1.5
 """Smallest ratio of volumes for the largest and smallest object."""
 HEIGHT_RATIO = 1.2
@@ -81,15 +82,15 @@ BEARING_GAP_RAD = math.radians(4)
 ROW_AHEAD_M = Band(0.7, -0.35)
 """Smallest distance of the middle along the heading, for objects that are counted along the way ahead, metres."""
 ROW_ASIDE_M = Band(0.2, 0.0)
-"""Smallest distance of the near side of such an object from the axis of the heading, and of its far side, metres."""
+"""Smallest distance from the axis of the heading, metres: near side if surely counted, far side if borderline."""
 ROW_GAP_M = Band(2.0, 8.0)
-"""Distance of the near side from the axis, metres."""
+"""Largest distance of the near side of a counted object from the axis of the heading, metres."""
 ROW_STEP_M = 0.8
 """Smallest distance along the heading between two objects that are counted, metres."""
 ROW_HIDDEN_M = 0.3
 """Distance from the axis by which an object is behind another one that covers it, metres."""
 ROW_HIDDEN = 0.5
-"""Share of an object along the heading that another one covers, so that it is not counted."""
+"""Smallest share of an object along the heading that another object covers, so that it is not counted."""
 VISIBLE_M = 10.0
 """Largest distance at which an object counts as surely visible, metres."""
 EDGE_RAD = math.radians(4)

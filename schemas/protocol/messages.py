@@ -213,7 +213,7 @@ class BeatReply(Model):
     drain: bool = False
     """Whether the worker shall claim no more jobs and exit after the current ones."""
     finished: bool = False
-    """Whether all jobs have ended; informs a worker that sends no claim because its simulations pause or start."""
+    """Whether all jobs have ended; informs a worker whose simulations are paused or starting, which sends no claim."""
 
 
 class Done(Model):

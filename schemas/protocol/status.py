@@ -60,7 +60,7 @@ class Progress(Model):
     planned: Count
     """Number of episodes in the plan."""
     jobs: Counts
-    """Number of episodes by the state of their current draw, pending in unbuilt layouts; the sum is `planned`."""
+    """Number of episodes by the state of their current draw (`pending` in unbuilt layouts); the sum is `planned`."""
     by_scene: Groups
     """Number of episodes by scene or family and state, without unbuilt layouts."""
     by_tier: Groups

@@ -77,8 +77,8 @@ class _Camera(MountedSensor):
             raise ValueError(f"near_m {self.near_m:g} must be less than far_m {self.far_m:g}: exchange them")
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(
-                f"{self.width} x {self.height} pixels are too many: reduce width or height to at most {MAX_PIXELS} "
-                "pixels together"
+                f"{self.width} x {self.height} pixels are too many: reduce width or height, so that the image has at "
+                f"most {MAX_PIXELS} pixels"
             )
         if self.noise is not None and self.noise.depth is not None and not self.is_rectified:
             raise ValueError(
@@ -112,7 +112,7 @@ class _CentredCamera(_Camera):
     def _centre_is_near_the_image(self) -> Self:
         for key, value, side in zip(("cx_px", "cy_px"), self.centre_px, (self.width, self.height), strict=True):
             if not -side <= value <= 2 * side:
-                raise ValueError(f"{key} {value:g} is far outside of the image, 0 to {side} px: give pixels")
+                raise ValueError(f"{key} {value:g} is far outside of the image, 0 to {side} px: give it in pixels")
         return self
 
 

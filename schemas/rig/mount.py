@@ -19,7 +19,7 @@ class Mount(Model):
     """
 
     x_m: _Coordinate = 0.0
-    """x in base_link, metres; at most 10 m from the origin, as y and z."""
+    """x in base_link, metres; at most 10 m from the origin, like y and z."""
     y_m: _Coordinate = 0.0
     """y in base_link, metres."""
     z_m: _Coordinate = 0.0
@@ -50,8 +50,8 @@ class TimedSensor(Model):
         if abs(steps - round(steps)) > 1e-6 or steps < 1 - 1e-6:
             divisors = [control_hz // count for count in range(1, control_hz + 1) if control_hz % count == 0]
             raise ValueError(
-                f"sensor {self.name!r}: rate_hz {self.rate_hz:g} does not divide the control rate, {control_hz} Hz; "
-                f"whole rates that do: {', '.join(map(str, divisors))}"
+                f"sensor {self.name!r}: rate_hz {self.rate_hz:g} does not divide the control rate, {control_hz} Hz "
+                f"(whole rates that do: {', '.join(map(str, divisors))})"
             )
         return round(steps)
 

@@ -77,7 +77,7 @@ class StructuredLightNoise(_TriangulationNoise):
 
 
 DepthNoise = Annotated[StereoDepthNoise | StructuredLightNoise, Field(discriminator="model")]
-"""Any noise of depth."""
+"""Noise of depth, of any kind."""
 
 
 class ColourNoise(Model):
@@ -96,14 +96,15 @@ class ColourNoise(Model):
     rolling_shutter_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Time from the first row to the last one, seconds."""
     shutter_images: Annotated[int, Field(ge=2, le=64)] = 8
-    """Images that are rendered and mixed if there is motion blur or a rolling shutter."""
+    """Number of images that are rendered and mixed if there is motion blur or a rolling shutter."""
     has_electrons: bool = True
     """Whether the image has shot noise and read noise."""
     full_well_e: Annotated[float, Field(ge=10, le=1e7)] = 10_700
-    """Electrons of a saturated pixel at a gain of 0 dB; of a Sony IMX255, whose signal-to-noise ratio is 40.3 dB
-    (Matrix Vision, mvBlueFOX3 technical manual)."""
+    """Electrons of a saturated pixel at a gain of 0 dB; by default those of a Sony IMX255, whose signal-to-noise ratio
+    is 40.3 dB (Matrix Vision, mvBlueFOX3 technical manual)."""
     read_noise_e: Annotated[float, Field(ge=0, le=1e5)] = 2.9
-    """Standard deviation of the read noise, electrons; of the same sensor, whose dynamic range is 71.3 dB."""
+    """Standard deviation of the read noise, electrons; by default that of a Sony IMX255, whose dynamic range is
+    71.3 dB."""
     gain_db: Annotated[float, Field(ge=0, le=60)] = 12.0
     """Analogue gain, decibels; 12 is indoor light, where a saturated value has a quarter of the electrons."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
@@ -123,7 +124,7 @@ class LidarNoise(Model):
     """Noise of a lidar; by default a Velodyne VLP-16."""
 
     range_std_m: Annotated[float, Field(ge=0, le=10)] = 0.008
-    """Standard deviation of the range, metres (velodyne_simulator of Dataspeed Inc., which has no published one)."""
+    """Standard deviation of the range, metres (value of velodyne_simulator by Dataspeed Inc.)."""
     range_std_share: Fraction = 0.0
     """Standard deviation of the range, share of the range; added to `range_std_m` in quadrature."""
     range_step_m: Annotated[float, Field(ge=0, le=1)] = 0.002
@@ -135,7 +136,7 @@ class LidarNoise(Model):
     """Share of the rays without a measurement."""
     sweep_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Duration of a scan, during which the robot moves, seconds; 0 casts all rays from the pose at the end of the
-    scan, as after a correction of the motion."""
+    scan, as after motion compensation."""
 
 
 class ImuNoise(Model):

@@ -98,7 +98,7 @@ class Rig(Model):
         return {name: known[name] for name in chosen}
 
     def faults(self, control_hz: int) -> list[str]:
-        """Returns what prevents the use of this rig at a control rate: one message for each sensor with such a rate."""
+        """Returns a message for each sensor whose rate does not divide a control rate."""
         found = []
         for sensor in self.sensors:
             try:
@@ -114,7 +114,7 @@ class Rig(Model):
         faults = [f"two sensors are named {name!r}: rename one" for name in twice]
         faults += [fault for sensor in self.sensors for fault in _misplaced(sensor, self.body)]
         if faults:
-            raise ValueError("; ".join(faults))
+            raise ValueError("\n".join(faults))
         return self
 
 

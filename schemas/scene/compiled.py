@@ -88,18 +88,18 @@ def contradictions(scene: CompiledScene) -> list[str]:
     """Returns the conditions between arrays that a scene does not fulfil, one line each."""
     vertices = len(scene.positions)
     checks = {
-        "uvs and colours have one row a vertex": len(scene.uvs) == len(scene.colours) == vertices,
-        "light_uvs has one row a vertex with a light map, and none without": len(scene.light_uvs)
+        "uvs and colours have one row per vertex": len(scene.uvs) == len(scene.colours) == vertices,
+        "light_uvs has one row per vertex if there is a light map, else none": len(scene.light_uvs)
         == (vertices if scene.light_map.size else 0),
         f"light map is at most {MAX_LIGHT_MAP_PX} texels a side": max(scene.light_map.shape[:2]) <= MAX_LIGHT_MAP_PX,
-        "parts have one row each": len({len(scene.part_first), len(scene.part_count), len(scene.part_instance)}) == 1
+        "part_* have equal lengths": len({len(scene.part_first), len(scene.part_count), len(scene.part_instance)}) == 1
         and len(scene.part_texture) == len(scene.part_first),
         "parts are within the vertices": bool((scene.part_first.astype(np.int64) + scene.part_count <= vertices).all()),
-        "texture layers exist": bool((scene.part_texture < scene.info.texture_count).all()),
+        "parts refer to existing texture layers": bool((scene.part_texture < scene.info.texture_count).all()),
         "texture_count is the number of textures": len(scene.textures) in (0, scene.info.texture_count),
         "collider triangles refer to vertices": bool((scene.collider_triangles < len(scene.collider_vertices)).all()),
-        "grids have one shape": scene.occupancy.shape == scene.reachable.shape,
-        "visibility has one row a spawn and one column a target": scene.spawn_sees.shape
+        "all grids have the same shape": scene.occupancy.shape == scene.reachable.shape,
+        "spawn_sees has one row per spawn and one column per target": scene.spawn_sees.shape
         == (len(scene.spawns), len(scene.info.targets)),
     }
     return [f"not true: {claim}" for claim, holds in checks.items() if not holds]

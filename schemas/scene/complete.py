@@ -1,4 +1,4 @@
-"""Complete packages: a package of format 4 with the files of its textures as further members.
+"""Complete packages: a package of format 4 with the files of its textures as additional members.
 
 A worker announces one file, and a rendering process receives one. Opens no path.
 """

@@ -46,8 +46,8 @@ class Instance(Model):
     category: Name | None = None
     """Category of the object, or `None` for walls, floors and clutter."""
     materials: Annotated[tuple[Name, ...], Field(max_length=16)] = Field(default=(), exclude_if=lambda it: not it)
-    """Known materials: the one that covers at least 60 % of its surface, then others that are visible; `unknown` stands
-    for surfaces without a known one. Empty and omitted if no known one covers that much."""
+    """Known materials: the one that covers at least 60 % of its surface, then others that are visible; `unknown`
+    means surfaces of unknown material. Empty and omitted if no known material covers that much."""
 
 
 class Target(Model):

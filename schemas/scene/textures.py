@@ -22,7 +22,7 @@ ReadTexture = Callable[[TextureFile], bytes]
 _SHAPE = (TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3)
 _RAW_BYTES = TEXTURE_SIZE_PX * TEXTURE_SIZE_PX * 3 + 4096
 _LEVEL = 5
-"""Level 9 gives files that are 3 % smaller, and takes twice the time."""
+"""Compression level. Level 9 would give files that are 3 % smaller, in twice the time."""
 _KEPT_FILES = 256
 _decoded: weakref.WeakValueDictionary[str, Layer] = weakref.WeakValueDictionary()
 """Layers that are in use, by the SHA-256 of their file."""

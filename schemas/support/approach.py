@@ -1,7 +1,7 @@
 """Points at given distances from targets, on straight lines to their centres: of one target, or of many at once.
 
 A target is a convex polygon with a centre inside it, or the centre alone. Pure functions. Arguments of many targets
-have shapes that broadcast with the points; the results have the bits of the results for each target.
+have shapes that broadcast with the points; the results are bit-identical to those of separate calls for each target.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from schemas.support.numpy_types import Floats
 from schemas.support.planar import gaps_to, polygon_distances, squares
 
 _STEP = 2.0**-36
-"""Resolution of a point on a line, share of its length: 100 m have parts below 1e-8 m."""
+"""Resolution of a point on a line, as a share of its length; below 1e-8 m on a line of 100 m."""
 _NEWTON_STEPS = 6
 """Steps after which Newton's method has found nearly all points on lines; bisection finds the others."""
 

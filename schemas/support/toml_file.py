@@ -65,7 +65,8 @@ def _sentences_of(item: Any) -> list[str]:
             key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
     message = str(item["msg"]).removeprefix("Value error, ")
     if not key:
-        return message.split("; ")
+        return message.splitlines()  # a validator of a whole file raises one error with a line for each mistake
+    message = message.replace("\n", "; ")
     if item["type"] == "extra_forbidden":
         message = "no such key"
     if item["type"] == "union_tag_invalid":

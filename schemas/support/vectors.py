@@ -8,8 +8,8 @@ from schemas.support.numpy_types import Floats
 
 
 def cross(left: Floats, right: Floats) -> Floats:
-    """Returns the vector products (..., 3) of vectors (..., 3), with the bits of `numpy.cross` and a tenth of its time
-    for few vectors."""
+    """Returns the vector products (..., 3) of vectors (..., 3), bit-identical to `numpy.cross` and, for few
+    vectors, in a tenth of its time."""
     x, y, z = left[..., 0], left[..., 1], left[..., 2]
     other_x, other_y, other_z = right[..., 0], right[..., 1], right[..., 2]
     product = np.empty(np.broadcast_shapes(left.shape, right.shape), np.result_type(left, right))

@@ -186,7 +186,7 @@ def test_foreign_files_are_distinguished_from_episodes(kind: Kind) -> None:
         foreign = archive.foreign()
         assert [path.name for path in foreign] == ["ep_0000001.zip", "notes.txt"]
         for path in foreign:
-            archive.quarantine(path, "no episode by its name")
+            archive.quarantine(path, "its name is not that of an episode")
         assert archive.foreign() == []
 
 

@@ -111,7 +111,9 @@ def test_an_episode_with_another_target_or_other_choices_is_refused(stage):
         )
         cases = {
             f"the target is object {AMONG[0]}, the job selects {AMONG[1]}": moved,
-            "1 objects could be the target, the plan requires 2": meta.model_copy(update={"choices": AMONG[1:2]}),
+            "1 objects could be the target, the plan requires at least 2": meta.model_copy(
+                update={"choices": AMONG[1:2]}
+            ),
             f"objects {list(AMONG[:2])} could be the target in the first frame": meta.model_copy(
                 update={"choices": AMONG}
             ),
@@ -132,4 +134,4 @@ def test_choices_of_a_job_whose_plan_names_the_target_are_refused(stage):
     with bundle:
         plain = job.model_copy(update={"start_view": None})
         bundle.meta = bundle.meta.model_copy(update={"job": plain})
-        assert "of a job whose plan names the target" in "\n".join(validate(bundle, plain))
+        assert "but the plan of the job names the target" in "\n".join(validate(bundle, plain))

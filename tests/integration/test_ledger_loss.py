@@ -186,7 +186,7 @@ def test_another_plan_on_a_directory_without_ledger_is_refused_and_moves_nothing
     ledger(run).unlink()
     other = room_plan(7)
     with (
-        pytest.raises(UsageError, match="none of them of run room"),
+        pytest.raises(UsageError, match="none belongs to run room"),
         Coordinator(
             run.root,
             other,

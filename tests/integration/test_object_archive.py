@@ -289,7 +289,7 @@ def test_another_plan_on_a_bucket_without_ledger_is_refused_and_moves_nothing(
 ) -> None:
     run = ArchivedRun(tmp_path / "out")
     copy_to(store, run.root)
-    with pytest.raises(UsageError, match="none of them of run room"):
+    with pytest.raises(UsageError, match="none belongs to run room"):
         Coordinator(tmp_path / "home", room_plan(7), run.catalog, CoordinatorOptions(listen=ANY_PORT, store=store))
     assert sorted(path.name for path in (store / "episodes").walk()) == [f"ep_{i:06d}.zip" for i in (1, 2, 3)]
     assert list((store / "quarantine").walk()) == []

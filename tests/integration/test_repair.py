@@ -169,7 +169,7 @@ def test_a_foreign_file_among_the_episodes_is_quarantined_with_the_reason(run, v
     assert kinds(mend(run, validator)) == {"quarantine": 2}
     reasons = sorted(path.read_text() for path in (run.root / "quarantine").glob("*.reason.txt"))
     assert "the plan has no draw 0 of ep_000009" in reasons[0]
-    assert "no episode by its name" in reasons[1]
+    assert "its name is not that of an episode" in reasons[1]
     assert not stray.exists()
 
 

@@ -1,7 +1,8 @@
 """Gives each cell of a layout its exact quota of categories, from the plan only. Reads no scene.
 
-The family has one sequence of categories for seen and one for held-out ones: random permutations of all categories, one
-after another. Its counts differ by at most one, and each layout takes the places that the plan assigns to it.
+A family has a sequence of seen categories and a sequence of held-out categories. A sequence consists of random
+permutations of its categories, so that their numbers of episodes differ by at most one. Each layout uses the places of
+the sequences that the plan assigns to it.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ _SEQUENCE_STREAM = 4
 
 
 def layout_categories(plan: Plan, scene: ScenePlan) -> dict[Cell, Counter[str]]:
-    """Returns the number of episodes of each category in each cell of a layout; empty for another scene and for a plan
-    that is balanced over instances."""
+    """Returns the number of episodes of each category in each cell of a layout; empty for a scene that is not a layout,
+    and for a plan that is balanced over instances."""
     if not isinstance(scene, LayoutPlan) or plan.balance == "instances":
         return {}
     number = plan.scenes.index(scene.family)
@@ -43,7 +44,7 @@ def planned_categories(plan: Plan) -> Counter[str]:
 
 @lru_cache(maxsize=8)
 def _sequence(seed: tuple[int, ...], categories: int, episodes: int) -> NDArray[np.int16]:
-    """Returns the index of the category of each place of a family."""
+    """Returns the index of the category at each place of a sequence of a family."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     rounds = np.tile(np.arange(categories, dtype=np.int16), (-(-episodes // categories), 1))
     return rng.permuted(rounds, axis=1).ravel()

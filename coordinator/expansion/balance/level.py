@@ -49,7 +49,7 @@ def level(shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], 
     Args:
         shares: places in which categories may be exchanged.
         options: categories of each place.
-        totals: number of episodes of each category, those of other places included.
+        totals: number of episodes of each category, including other places.
     """
     names = sorted({name for place in shares for name in options[place]})
     while any(_lower(high, shares, options, totals) for high in sorted(names, key=lambda name: -totals[name])):
@@ -66,7 +66,7 @@ def _even(count: int, options: Sequence[str], totals: Counter[str]) -> Counter[s
 def _lower(
     high: str, shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], totals: Counter[str]
 ) -> bool:
-    """Moves episodes from a category to the lowest one that a chain of exchanges reaches; returns whether it did."""
+    """Moves episodes to the category with the lowest total that a chain reaches; returns whether it moved any."""
     takes_from = _chains(high, shares, options)
     low = min(takes_from, key=lambda name: (totals[name], name), default=high)
     amount = (totals[high] - totals[low]) // 2
@@ -90,7 +90,7 @@ def _lower(
 def _chains(
     high: str, shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]]
 ) -> dict[str, tuple[str, int]]:
-    """Returns for every category that a chain reaches: the category that gives it episodes, and the place."""
+    """Returns, for every category that a chain reaches, the category that gives it episodes and the place."""
     takes_from: dict[str, tuple[str, int]] = {}
     front = [high]
     while front:

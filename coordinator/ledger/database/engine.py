@@ -92,7 +92,7 @@ def open_reader(url: str) -> Engine:
 
 @functools.lru_cache(maxsize=_KEPT_READERS)
 def _reader_of(file: Path) -> Engine:
-    """Returns the engine of a file, which keeps compiled statements and no connection: compiling takes longest."""
+    """Returns the engine of a file; kept for its compiled statements, which cost more than a connection."""
     return create_engine("sqlite://", creator=lambda: _connect_readonly(file), poolclass=NullPool)
 
 

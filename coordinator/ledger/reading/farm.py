@@ -121,7 +121,7 @@ def read_farm(connection: Connection, now: datetime) -> FarmReading:
 
 
 def _recent() -> ColumnElement[bool]:
-    """Returns the condition of the newest attempts."""
+    """Returns the SQL condition that selects the newest attempts."""
     return attempts.c.id > select(func.max(attempts.c.id)).scalar_subquery() - _RECENT_ATTEMPTS
 
 

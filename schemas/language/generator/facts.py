@@ -114,7 +114,7 @@ class SceneFacts:
 
     @cached_property
     def distinct(self) -> Bools:
-        """(N, N) pairs of two objects."""
+        """(N, N) pairs of two different objects."""
         return ~np.eye(len(self.graph.objects), dtype=bool)
 
     @cached_property
@@ -166,7 +166,7 @@ class SceneFacts:
 
     @cached_property
     def alone(self) -> dict[Relation, Masks]:
-        """(N,) relations without landmark and view."""
+        """(N,) objects for which a relation without landmark and view holds, by relation."""
         objects = self.graph.objects
         gap, corner = (np.array([getattr(each, name) for each in objects]) for name in ("wall_gap_m", "corner_gap_m"))
         hung = below(gap, limit.TOUCH_M).both(above(self._base, limit.WALL_BASE_M))
@@ -214,14 +214,15 @@ class SceneFacts:
         surfaces = np.array([self.graph.kinds.of(each.kind).surface for each in self.graph.objects], bool)
         others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # [other, thing]
         nearest = np.sort(others, axis=0)[:2] if len(others) > 1 else np.full((2, len(others)), np.inf)
-        second = np.where(others <= nearest[0], nearest[1], nearest[0])  # the smallest gap of a thing to another object
+        # gap of a thing to the nearest other object with a top
+        second = np.where(others <= nearest[0], nearest[1], nearest[0])
         clear = second >= self.gap + limit.BESIDE_OTHER_M
         level = self._is_level & self.distinct & ~self.support[Relation.ON].possible
         apart = self.distinct & ~self.support[Relation.ON].sure
         return Masks(found.sure & clear & level, found.possible & apart)
 
     def in_room(self, room: int, area: int | None = None) -> Masks:
-        """Returns which objects are in a room; surely those of the same part of it, if a part is given."""
+        """Returns which objects are in a room; if a part of it is given, only objects of this part are surely in it."""
         found = self.graph.room_of
         sure = found == room
         if area is not None:
@@ -229,7 +230,7 @@ class SceneFacts:
         return Masks(sure, (found == room) | (found == 0))
 
     def in_typed_room(self, room: int) -> Masks:
-        """Returns which objects are in a room of a type; surely those in the parts that show the type."""
+        """Returns which objects are in a room of a type; only objects in the parts that show the type surely are."""
         kind = self.graph.types[room - 1]
         shown = self.graph.areas_of_type(room, str(kind))
         return Masks(

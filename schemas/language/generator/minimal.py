@@ -1,4 +1,4 @@
-"""Combines parts to expressions that fit exactly one object, or any of a set, with no part that can be dropped.
+"""Combines parts into expressions that fit one object, or any object of a set, and from which no part can be dropped.
 
 Keeps the combinations that exclude every other object, as the full-brevity algorithm does (Dale & Reiter 1995).
 """
@@ -15,11 +15,11 @@ from schemas.language.generator.parts import ExpressionPart, bits_of
 from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
 
 _WITH_ORDINAL = frozenset({Family.ROOM})
-"""Families of relations that are combined with an ordinal: others make "the second chair from the left" ambiguous."""
+"""Families of relations that are combined with an ordinal: others make "the second chair from the left" unclear."""
 _MOST_SELECTED = 4
-"""Number of relations that are combined with a superlative."""
+"""Largest number of relations that are combined with a superlative."""
 _MOST_PARTS = 24
-"""Number of relations that are combined in pairs; more are drawn at random."""
+"""Largest number of relations that are combined in pairs; if there are more, this many are drawn at random."""
 
 
 def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expression]:
@@ -95,7 +95,7 @@ def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Ite
 
 
 def _is_readable(one: ExpressionCandidate) -> bool:
-    """Returns whether a reader knows among which objects an expression counts, or looks for the farthest one."""
+    """Returns whether it is clear from which set an expression counts objects, or selects the farthest object."""
     families = {FAMILY[part.clause.relation] for part in one.parts}
     if one.ordinal is not None:
         return families <= _WITH_ORDINAL
@@ -116,10 +116,10 @@ def indefinite_candidates(search: Search) -> list[ExpressionCandidate]:
 
 
 def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
-    """Returns the expression with one more part that surely holds for the target: colour, material or a relation."""
+    """Returns variants of an expression with one more part that surely holds for the target, such as its colour."""
     found: list[Expression] = []
     if expression.selectors:
-        return found  # another part would change the objects among which it selects
+        return found  # another part would change the set from which a superlative or an ordinal selects
     for head in search.heads():
         looks = {name: value for name in ("colour", "material") if (value := getattr(head, name)) is not None}
         if head.kind == expression.kind and looks and all(getattr(expression, name) is None for name in looks):

@@ -20,7 +20,7 @@ from schemas.support.numpy_types import Bools, Floats
 
 _NEARBY_M = 6.0
 _COUNTS = range(2, 7)
-"""Numbers of objects that are named."""
+"""Counts that relations such as `with_on` name."""
 
 
 class ExpressionPart(NamedTuple):
@@ -37,7 +37,7 @@ class Superlatives(NamedTuple):
 
     sizes: tuple[Size, ...]
     nearest: tuple[Clause, ...]
-    """Nearest to and farthest from a landmark."""
+    """Relations nearest and farthest, with their landmarks."""
 
 
 def part_of(clause: Clause, masks: Masks) -> ExpressionPart:

@@ -59,7 +59,7 @@ class ExpressionCandidate(NamedTuple):
     size: Size | None = None
     ordinal: Ordinal | None = None
     superlative: Clause | None = None
-    """Nearest to or farthest from something."""
+    """Relation nearest or farthest, with its landmark."""
 
     @property
     def selector(self) -> tuple[Size | None, Ordinal | None, Clause | None]:

@@ -35,7 +35,7 @@ class _Wayside(NamedTuple):
     """Distance of the near side from the axis of the heading."""
 
     def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
-        """Returns which of some objects another one that is surely counted is in front of, as seen from the axis."""
+        """Returns which objects are hidden from the axis by another object that is surely counted."""
         low, high, near = self.low[numbers], self.high[numbers], self.near[numbers]
         shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
         covers = (shared >= limit.ROW_HIDDEN * (high - low)) & (near >= near[:, None] + limit.ROW_HIDDEN_M)
@@ -125,7 +125,7 @@ class ViewFacts:
         Args:
             among: objects to count.
             side: side of the way ahead.
-            number: object that is looked for; without it, or if no part of it is surely visible, nothing is counted.
+            number: object to find; the result is empty unless it surely is beside the way and visible at least in part.
         """
         way = self._ways[side]
         if not (way.masks.sure[number] and self.view.shown[number]):
@@ -146,7 +146,7 @@ class ViewFacts:
 
     @cached_property
     def ego(self) -> dict[Relation, Masks]:
-        """(N,) on the left, on the right, straight ahead."""
+        """(N,) objects on the left, on the right and straight ahead."""
         view, found = self.view, {}
         room = self.scene.graph.room_of
         here = view.possible | (room == view.room) | (room == 0)

@@ -9,9 +9,9 @@ from schemas.support.numpy_types import Bools, Floats
 
 _WALL = 2
 _FAR_M = 7.0
-"""Distance of the middles beyond which no line is traced, metres."""
+"""Distance between the middles of two objects beyond which no line is traced, metres."""
 _END_M = 0.06
-"""Width of the margin around both objects in which a wall is not between them, metres."""
+"""Width of a margin around both objects, metres; a wall within it does not count as a wall between them."""
 _SAMPLES = 128
 _CHUNK = 4096
 
@@ -22,7 +22,7 @@ def find_barriers(low: Floats, high: Floats, sight: CellGrid) -> Bools:
     Args:
         low: (N, 2) lower corners of the bounding rectangles, metres.
         high: (N, 2) upper corners, metres.
-        sight: 2 in the cells of walls.
+        sight: grid with the value 2 in the cells of walls.
     """
     middle, found = (low + high) / 2, np.zeros((len(low), len(low)), bool)
     one, two = np.triu_indices(len(low), 1)

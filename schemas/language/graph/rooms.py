@@ -179,8 +179,8 @@ def nearest_room(rooms: CellGrid, points: Floats, within_m: float = 0.6) -> Ints
 def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
     """Returns (N,) gaps of objects to their nearest wall, and to a wall perpendicular to it, metres; at most 4.
 
-    Objects in a corner have two small gaps. Walls are looked for in directions 0, 30, ... 330 degrees. The
-    perpendicular wall of a flat object at a wall is looked for in front of it, where its own wall is not in the way.
+    Objects in a corner have two small gaps. Walls are searched in directions 0, 30, ... 330 degrees. For a
+    flat object at a wall, the perpendicular wall is searched in front of it, where its own wall is not in the way.
 
     Args:
         walls: grid of walls.
@@ -194,7 +194,7 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
     ).reshape(-1, _DIRECTIONS)
     own = _gaps(walls, centres, ways, reach)
     ahead = _gaps(walls, _in_front(walls, centres, ways, reach, own), ways, reach)
-    # the distance of the centre is smallest along the normal of the wall; the gap of a corner of the outline may not be
+    # the centre is closest to a wall along the normal of the wall; a corner of the outline may be closest elsewhere
     rows, normal, quarter = np.arange(len(own)), (ahead + reach).argmin(axis=1), _DIRECTIONS // 4
     gap = own[rows, (own + reach).argmin(axis=1)]
     sides = np.minimum(ahead[rows, (normal + quarter) % _DIRECTIONS], ahead[rows, normal - quarter])
@@ -213,13 +213,13 @@ def _gaps(walls: CellGrid, points: Floats, ways: Floats, reach: Floats) -> Float
 
 
 def _in_front(walls: CellGrid, points: Floats, ways: Floats, reach: Floats, own: Floats) -> Floats:
-    """Returns the (N, 2) points; those of flat objects at a wall are moved to `_FRONT_M` before it."""
+    """Returns the (N, 2) points; those of flat objects at a wall are moved to `_FRONT_M` in front of it."""
     rows, thin = np.arange(len(points)), reach.argmin(axis=1)
     is_at_wall = (reach[rows, thin] < _FLAT_M / 2) & (own.min(axis=1) <= _AT_WALL_M)
     steps = np.arange(0.0, _FRONT_M, walls.resolution_m / 2)
     sides = [(thin + turn) % _DIRECTIONS for turn in (0, _DIRECTIONS // 2)]
     depth = []
-    for side in sides:  # length of the way out of the wall
+    for side in sides:  # distance from the point to the edge of the wall
         free = ~walls.at(points[:, None, :] + steps[:, None] * ways[side][:, None, :]).astype(bool)
         depth.append(np.where(free.any(axis=1), steps[free.argmax(axis=1)], _FAR_M))
     is_first = (depth[0] < depth[1]) | ((depth[0] == depth[1]) & (own[rows, sides[0]] >= own[rows, sides[1]]))

@@ -32,7 +32,7 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 _LOW_M, _TALL_M = 0.6, 1.6
 _BETWEEN_ROOMS = frozenset({"door", "gate", "window"})
 _BESIDE_M = (0.1, 0.13, 0.16, 0.2)
-"""Distances from the faces of a door leaf at which a wall, of perhaps two thin faces, is looked for, metres."""
+"""Distances from the faces of a door leaf at which a wall is searched, metres; a wall may be two thin faces."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class SceneGraph:
     floor_m: float
     """Height of the floor, metres."""
     kinds: Kinds
-    """Kinds by which the graph was made."""
+    """Kinds with which the graph was built."""
 
     @cached_property
     def low(self) -> Floats:
@@ -123,7 +123,7 @@ class SceneGraph:
 
     @cached_property
     def walled(self) -> Bools:
-        """(N, N) pairs of objects with a wall between them; without doors and windows."""
+        """(N, N) pairs of objects with a wall between them, without objects of unknown room, such as doors."""
         is_known = (self.room_of > 0) & (self.room_of > 0)[:, None]
         return find_barriers(self.low[:, :2], self.high[:, :2], self.sight_grid) & is_known
 
@@ -216,8 +216,8 @@ def _is_tall(each: RawObject, info: SceneInfo) -> bool:
 
 
 def _is_flat(each: RawObject, info: SceneInfo) -> bool:
-    """Returns whether an object is low or hangs, and is thinner than two cells, such as a picture: its cells are those
-    of the wall behind it."""
+    """Returns whether an object is low or hangs, and is thinner than two cells, such as a picture: its cells belong to
+    the wall behind it."""
     thin = float((each.high[:2] - each.low[:2]).min()) < 2 * info.grid_resolution_m
     return thin and not _is_tall(each, info)
 

@@ -1,8 +1,8 @@
 """Computes what the robot sees of a scene graph from its start pose, on the grid. Renders nothing.
 
-An object is surely visible if it is in the image and most lines of sight to it are free, and a part of it is if two of
-five are; it is surely not visible if it is outside of the image, or a wall blocks every line of sight. Other obstacles
-make it borderline.
+An object is surely visible if it is in the image and most lines of sight to it are free. A part of it is surely visible
+if two of five lines are free. It is surely not visible if it is outside of the image, or a wall blocks every line of
+sight. Other obstacles make it borderline.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from schemas.language.thresholds import EDGE_RAD, SHOWN, VISIBLE_M
 from schemas.support.numpy_types import Bools, Floats
 
 _FAR_M = 15.0
-"""Distance beyond which lines of sight are not traced: an object in the image is borderline."""
+"""Distance beyond which lines of sight are not traced, metres; objects in the image are borderline there."""
 _FREE_SHARE = 0.5
 _BEFORE_M = 0.12
-"""Length before the object at which a line of sight ends, metres: the object itself does not block it."""
+"""Distance before the object at which a line of sight ends, metres, so that the object itself does not block it."""
 _STEP_CELLS = 1.5
 _TALL_M = 0.6
-"""An image must show half of the height of an object, or this height, metres."""
+"""An object is at image height if the image shows half of its height, or this height, metres."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Points of a footprint, the centre first, in half extents."""
 

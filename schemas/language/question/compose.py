@@ -55,7 +55,7 @@ class AskedEpisode(NamedTuple):
     goals: tuple[Instruction, ...] = ()
     """Its verified instructions that name the target."""
     is_false_premise: bool = False
-    """Whether the robot stands still because its instruction names no object; the target is then not a goal."""
+    """Whether the robot stays at its start because the object that its instruction names does not exist."""
     images: FrameImages | None = None
     """Recorded instance ids and depth; `None` for an episode of states."""
 
@@ -64,7 +64,7 @@ _Answer = tuple[QuestionMeaning, tuple[int, int]]
 
 
 class QuestionComposer:
-    """Writer of questions by a language file.
+    """Writer of questions according to a language file.
 
     Args:
         composer: writer of instructions of the language file.
@@ -117,7 +117,7 @@ class _Answers:
         self._seen: tuple[SceneView, Floats] | None = None
 
     def of(self, kind: QuestionKind, language: SpokenLanguage, held_out: bool) -> _Answer | None:
-        """Returns the meaning of a question with its frames; `None` if the drawn one has no sure answer."""
+        """Returns the meaning of a question with its frames; `None` if the drawn question has no sure answer."""
         if kind is QuestionKind.FEASIBLE:
             return self._feasible(language, held_out)
         if kind is QuestionKind.NEXT:

@@ -21,7 +21,7 @@ _CLEAR_PX, _HIDDEN_PX = 60, 12
 _SIDE_RAD = math.radians(8)
 """Tolerance of directions, because other objects hide a part of a mask, radians."""
 _METRES_FREE = 0.4
-"""Tolerance of distances besides the share, metres: the nearest point may be higher than the footprint's edge."""
+"""Absolute tolerance of distances, metres: the nearest point may be above the footprint instead of at its edge."""
 
 
 class FrameImages(Protocol):
@@ -57,11 +57,11 @@ def image_fault(
     is_shown = meaning.answer in (AnswerKind.YES, AnswerKind.THERE, AnswerKind.OBJECT)
     if not is_shown:
         if meaning.reason in (ReasonKind.NONE_EXISTS, ReasonKind.NOT_IN_VIEW) or meaning.answer is AnswerKind.UNSEEN:
-            return "the image shows one" if np.isin(ids, parts).sum() > _HIDDEN_PX else ""
+            return "the image shows such an object" if np.isin(ids, parts).sum() > _HIDDEN_PX else ""
         return ""
     seen = see_objects(ids, images.depth(t), parts, camera, _CLEAR_PX)
     if not any(_is_at(each, meaning) for each in seen):
-        return "the image shows none at this side and distance" if seen else "the image shows none"
+        return "the image shows no such object at this side and distance" if seen else "the image shows no such object"
     return ""
 
 

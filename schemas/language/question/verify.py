@@ -166,7 +166,7 @@ class QuestionVerifier:
         return (low + high) / 2 if high - low < math.pi else math.pi
 
     def _is_shown(self, number: int, t: int) -> bool:
-        """Returns whether at least 40 % of the points of a footprint are in the image, without an obstacle before."""
+        """Returns whether at least 40 % of the points of a footprint are in the image, with no obstacle before them."""
         return self._replay.shown_share(number, t) >= 0.4
 
     def _feasible_fault(self, meaning: QuestionMeaning, language: Reader) -> str:

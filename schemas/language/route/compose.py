@@ -31,7 +31,7 @@ class _Spoken:
 
 
 class RouteComposer:
-    """Writer of routes by a language file.
+    """Writer of routes according to a language file.
 
     Args:
         spec: content of the language file.

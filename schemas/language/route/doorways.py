@@ -16,7 +16,7 @@ from schemas.support.numpy_types import Floats
 _MARGIN_M = 0.2
 """Smallest clearance of a passage, metres."""
 _MEANT_M = 0.4
-"""Distance that a path stays in a room that it visits, metres; a shorter one is an edge of the grid."""
+"""Smallest length of a path within a room that it visits, metres; a shorter one is an artefact of the grid."""
 _OWN_M = 1.5
 """Largest distance between the middle of a doorway and the path through it, metres."""
 

@@ -93,7 +93,7 @@ class PoseReplay:
         return float((free[:, :_DIRECTIONS] + free[:, _DIRECTIONS:]).min())
 
     def _free(self, point: complex, way: complex, most_m: float, blocked: int = _WALL) -> float:
-        """Returns the distance to the next cell with at least a value, metres."""
+        """Returns the distance to the next cell whose value is at least `blocked`, metres."""
         steps = np.arange(0.0, most_m, _RAY_M)
         places = np.column_stack((point.real + way.real * steps, point.imag + way.imag * steps))
         hit = np.flatnonzero(self.graph.sight_grid.at(places).astype(np.int64) >= blocked)

@@ -72,7 +72,7 @@ def _longest(yaw: Floats, along: Floats, first: int, stop: int) -> tuple[int, in
 
 
 def _joined(path: DrivenPath, spans: list[tuple[int, int]]) -> list[PathPart]:
-    """Returns the parts: runs are shortened to where their heading is settled, and runs without a turn are joined."""
+    """Returns the parts: runs are cut to where the heading is settled, and joined if no turn is between them."""
     smallest = TURN_RAD[TurnSize.SLIGHT][0]
     settled = [_settled(path, start, end) for start, end in spans]
     edges = [0, *(edge for span in settled for edge in span), len(path) - 1]

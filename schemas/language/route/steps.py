@@ -37,7 +37,7 @@ _NEAR_M = 3.0
 _NEARER_M = (4.0, 2.5, 1.5, 0.8, 0.4, 0.2)
 """Distances from the end at which a last step begins if no words fit the target from farther away, metres."""
 _CUTS_RAD = (math.radians(60), math.radians(90), math.radians(120))
-"""Headings at which a long turn is divided, against that at its start."""
+"""Headings at which a long turn is divided, relative to the heading at its start."""
 _SMALLEST_RAD = limit.TURN_RAD[TurnSize.SLIGHT][0]
 _EVERY = 6
 
@@ -305,9 +305,9 @@ class RouteSearch:
         return SpannedStep(RouteStep(kind=StepKind.FORWARD, metres=max(1, round(length_m))), start, end)
 
     def _arrival(self, start: int, end: int, left_m: float) -> list[SpannedStep]:
-        """Returns the last step; if no words fit the target from its start, straight on, and a step from nearer by.
+        """Returns the last step, or a step straight on and a last step that begins nearer to the target.
 
-        Empty if no words fit the target only from any of these places.
+        The first place from which words fit only the target decides; empty if there is none.
         """
         stop = self._stop(start, end)
         if stop is not None:
@@ -322,7 +322,7 @@ class RouteSearch:
         return []
 
     def _stop(self, start: int, end: int) -> SpannedStep | None:
-        """Returns the last step; `None` if no words fit the target only."""
+        """Returns the last step; `None` if no words fit only the target."""
         named = self._named(self._target, start, end)
         if named is None:
             seen = ViewFacts(self._facts, self._view(start))

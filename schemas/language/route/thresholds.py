@@ -28,33 +28,33 @@ STRAIGHT_RAD = math.radians(25)
 UNSAID_RAD = math.radians(60)
 """Range of headings from which a step that names no turn is wrong."""
 REVERSED_RAD = math.radians(20)
-"""Largest change of heading against the direction of a turn."""
+"""Largest change of heading opposite to the direction of a turn."""
 RUN_M = 1.0
 """Smallest length of a straight run, metres."""
 METRES = Band(0.25, 0.5)
 """Error of a distance that a step names, as a share of the driven one."""
 METRES_FREE = 0.15
-"""Part of this error that is allowed at any distance, metres."""
+"""Absolute part of the allowed error of a named distance, metres; it is added to the relative part."""
 PASS_M = Band(1.8, 3.0)
-"""Smallest gap between the centre of the robot and the footprint of an object that it passes, metres."""
+"""Gap between the centre of the robot and the footprint of a passed object where it is smallest, metres."""
 BEHIND_M = Band(0.6, -0.3)
 """Distance by which the middle of a passed object is behind the robot at the end of the step, metres."""
 BEFORE_M = Band(0.7, 0.3)
-"""Distance by which it is ahead of the robot at the start of the step, metres."""
+"""Distance by which the middle of a passed object is ahead of the robot at the start of the step, metres."""
 ASIDE_RAD = math.radians(50)
 """Smallest angle between the heading and the direction to a passed object when it is nearest."""
 TOWARDS_RAD = Band(math.radians(6), math.radians(30))
 """Angle between the heading at the start and the direction to the object of `towards`."""
 TOWARDS_END_RAD = Band(math.radians(15), math.radians(30))
-"""The same angle at the end."""
+"""Angle between the heading at the end and the direction to the object of `towards`."""
 TOWARDS_SHARE = 0.35
-"""Smallest share of its distance by which the robot gets closer to it."""
+"""Smallest share of the distance by which the robot gets closer to the object of `towards`."""
 DOORWAY_M = Band(2.2, 3.0)
 """Width of a passage that is called a doorway, metres."""
 DOOR_AHEAD_RAD = math.radians(45)
-"""Sector around the heading at the start of the step in which another doorway makes it ambiguous."""
+"""Sector around the heading at the start of the step in which another doorway makes the step ambiguous."""
 NEXT_DOOR_M = 2.5
-"""Distance behind the doorway from which another one does not make it ambiguous, metres."""
+"""Distance behind the doorway from which another doorway does not make the step ambiguous, metres."""
 STOP_M = Band(1.3, 2.0)
 """Gap between the robot at the end and the footprint of the target, metres."""
 AMBIGUOUS_M = 7.0

@@ -124,7 +124,7 @@ class RouteVerifier:
         return driven is not None and all(replay.room(k) in (0, room) for k in range(t, driven + 1))
 
     def _entered_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> tuple[str, int, int]:
-        """Returns why the robot does not enter the room of a step, the room before, and the frame of the doorway."""
+        """Returns why the robot does not enter the room of a step, then the room before and the doorway's frame."""
         rooms = [(t, replay.room(t)) for t in range(start, end) if replay.room(t)]
         first = next((room for t in range(start, -1, -1) if (room := replay.room(t))), 0)  # it may start in a doorway
         before, after = (first or rooms[0][1], rooms[-1][1]) if rooms else (0, 0)
@@ -172,7 +172,7 @@ class RouteVerifier:
                 return "" if replay.gap(number, end - 1) <= limit.STOP_M.good else "the robot stops elsewhere"
 
     def _fitting(self, named: Expression, replay: PoseReplay, start: int, end: int) -> set[int]:
-        """Returns the objects that the words fit: in the scene, or around the step if kind and colour are all words."""
+        """Returns the objects that the words fit: in the scene; around the step if only kind and colour are named."""
         if named.clauses or named.size is not None or named.ordinal is not None:
             x, y = replay.position(start)
             view = look(self._graph, (x, y, replay.yaw(start)), self._camera)

@@ -36,7 +36,7 @@ LANGUAGES = ("en", "de", "es", "zh")
 REGISTERS = ("imperative", "polite", "question", "terse", "spoken")
 """Registers of the sentence patterns."""
 SLOT = re.compile(r"\{(np|0|1|room|count)(?::([a-z]+))?\}")
-"""Slot of a pattern: what it takes, and its case."""
+"""Slot of a pattern: its content and its case."""
 _CHOICE = re.compile(r"\(([^()]*\|[^()]*)\)")
 _GENDER = re.compile(r"<([^<>]*)>")
 _SPACES = re.compile(r"\s+")
@@ -100,7 +100,7 @@ class Grammar(Model):
     colours: dict[Name, tuple[str, ...]]
     """Colour words."""
     materials: dict[Name, tuple[str, ...]]
-    """Material words, at the place of the layout."""
+    """Material words; `layout` sets their position."""
     states: dict[Relation, tuple[str, ...]]
     """Adjectives that are synonyms of relations without landmarks."""
     numbers: dict[str, str]
@@ -118,11 +118,11 @@ class Grammar(Model):
     patterns: dict[Name, Patterns]
     """Sentence patterns by register."""
     negations: tuple[str, ...]
-    """Words that no paraphrased pattern has."""
+    """Words that a paraphrased pattern must not have."""
     actions: tuple[str, ...]
-    """Words of which a paraphrased pattern has at least one."""
+    """Words of which a paraphrased pattern must have at least one."""
     paraphrases: dict[Name, tuple[str, ...]] = Field(default_factory=dict)
-    """Paraphrased patterns by register, of a language file."""
+    """Paraphrased patterns of a language file, by register."""
 
     @cached_property
     def sentences(self) -> tuple[SentencePattern, ...]:

@@ -41,7 +41,7 @@ def pattern_fault(code: str, text: str) -> str:
     source, own = grammar(code), _known_words(code)
     case, governor = slots[0][1], _last_word(before)
     if source.genders and (case or "nom", governor) not in own.governed:
-        return "another word is before the slot than in the grammar, so that its case may be wrong"
+        return "the grammar never has the word before the slot there, so the case of the slot may be wrong"
     return _content_fault(source, around.lower(), set(_WORD.findall(around.lower())), own.content)
 
 

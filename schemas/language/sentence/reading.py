@@ -41,7 +41,7 @@ class _Words:
         self._pattern = re.compile(f"(?:{spellings}){end}" if spellings else r"(?!)")
 
     def match(self, text: str, at: int) -> tuple[object, int] | None:
-        """Returns the meaning of the longest word at a position and the position after it."""
+        """Returns the meaning of the longest word at a position, and the position after the word."""
         found = self._pattern.match(text, at)
         return None if found is None else (self.meanings[found[0]], found.end())
 

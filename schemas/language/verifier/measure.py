@@ -91,7 +91,7 @@ class Footprints:
     def ranges_from(self, point: tuple[float, float], numbers: Iterable[int]) -> dict[int, float]:
         """Returns the distances from a point to footprints, metres; exact for those that may be the nearest.
 
-        The others have a smaller value than their distance, which is still clearly larger than that of the nearest.
+        The values of other footprints are lower bounds, which are still clearly larger than the smallest distance.
         """
         where = complex(*point)
         apart = {number: abs(self._centres[number] - where) for number in numbers}
@@ -109,7 +109,7 @@ class Footprints:
         return AlongBox(min(along), max(along), middle, min(aside), max(aside))
 
     def direction(self, number: int, other: int, eye: tuple[float, float]) -> float:
-        """Returns the direction from a landmark to an object against the line of sight to the landmark, radians.
+        """Returns the direction from a landmark to an object relative to the line of sight to the landmark, radians.
 
         0 is away from the eye, pi/2 to the left.
         """
@@ -118,7 +118,7 @@ class Footprints:
         return cmath.phase(offset / sight) if sight and offset else 0.0
 
     def is_nearer(self, number: int, other: int, eye: tuple[float, float], landmark: int) -> bool:
-        """Returns whether the whole depth of an object is nearer than another one, along the sight of a landmark."""
+        """Returns whether an object is wholly nearer than another one, along the line of sight to a landmark."""
         sight = self._centres[landmark] - complex(*eye)
         near, far = ([(point * sight.conjugate()).real for point in self._outlines[each]] for each in (number, other))
         return max(near) <= min(far)

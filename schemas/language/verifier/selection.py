@@ -20,7 +20,7 @@ class Selected(IntEnum):
 
 
 def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[int, Truth]:
-    """Returns the largest, smallest, tallest or lowest object if it is clear; otherwise all objects that may be it."""
+    """Returns the largest, smallest, tallest or lowest object if it is clear; otherwise all candidates."""
     tall = size in (Size.TALLEST, Size.LOWEST)
     if not all(prints.is_comparable(number) for number in truths):
         return dict.fromkeys(truths, Truth.MAYBE)
@@ -32,7 +32,7 @@ def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[in
 
 
 def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneView) -> dict[int, Truth]:
-    """Returns the object at a place from a side among those in view; all that it may be if some are borderline."""
+    """Returns the object in view at a place counted from a side; all candidates if some are borderline."""
     sign = -1.0 if side is ViewSide.LEFT else 1.0
     seen = [number for number in truths if view.possible[number]]
     order = sorted(seen, key=lambda number: sign * float(view.bearing[number]))
@@ -51,7 +51,7 @@ def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneVie
 def counted_ahead(
     truths: Mapping[int, Truth], place: int, side: ViewSide, view: SceneView, prints: Footprints
 ) -> dict[int, Truth]:
-    """Returns the object at a place along one side of the way ahead; all that it may be if some are borderline."""
+    """Returns the object at a place along one side of the way ahead; all candidates if some are borderline."""
     boxes = {number: prints.seen_along((view.x, view.y), view.yaw, number, AHEAD_SIDES[side]) for number in truths}
     found = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
     sure = [boxes[number] for number, truth in found.items() if truth is Truth.YES]

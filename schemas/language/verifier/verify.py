@@ -106,7 +106,7 @@ class Verifier:
         return FittingObjects(sure, frozenset(truths))
 
     def _described(self, kind: str, colour: str | None, material: str | None = None) -> dict[int, Truth]:
-        """Returns the objects of a kind, colour and material, without those that it surely does not fit."""
+        """Returns the objects that a kind, a colour and a material fit, surely or possibly."""
         key = kind, colour, material
         if key in self._fitting:
             return self._fitting[key]
@@ -195,7 +195,7 @@ class Verifier:
         return labels[0] if labels else -1
 
     def _counts(self, relation: Relation, number: int, things: Mapping[int, Truth], count: int) -> Truth:
-        """Returns whether exactly a number of things are beside or on an object."""
+        """Returns whether exactly `count` things are beside or on an object."""
         near = self._relations.is_beside if relation is Relation.WITH_BESIDE else self._prints.holds
         found = [min(truth, near(number, thing)) for thing, truth in things.items() if thing != number]
         sure, possible = found.count(Truth.YES), len(found) - found.count(Truth.NO)

@@ -101,7 +101,7 @@ def test_a_layout_without_a_category_of_its_quota_is_refused_only_if_the_quota_i
     ]
     parts = [part for part in exact.parts if isinstance(part, LayoutPlan)]
     lacking = catalog | {part.name: make_entry(part.name, near) for part in parts}
-    assert any("sofa, which its quota names" in line for line in find_impossible(exact, lacking))
+    assert any("sofa, which its quota needs" in line for line in find_impossible(exact, lacking))
     assert find_impossible(loose, lacking) == []
     assert len(expand(loose, lacking)) == loose.episodes
 

@@ -39,7 +39,7 @@ def _plan(seen: tuple[str, ...] = ("chair",), **language: object) -> Plan:
         ({"language": {"exchangeable": True, "in_view": 1}}, "the expert proportional drives straight"),
         ({"language": {"exchangeable": True, "in_view": 1}, "tiers": {"far": 1.0}}, "set tiers.far to 0"),
         ({"language": {"exchangeable": True, "in_view": 1}, "colors": "off"}, "`colors` is for templates, remove it"),
-        ({"splits": {"test_false_premise": 1.0}}, "the templates have no false premises, the table"),
+        ({"splits": {"test_false_premise": 1.0}}, "splits.test_false_premise needs the table"),
     ],
 )
 def test_a_language_block_that_a_plan_does_not_support_is_named(data, fault):

@@ -283,7 +283,7 @@ def test_retry_resets_budgets_and_attempt_numbers_continue(timed_ledger):
     assert reply.changed == (1,)
     assert reply.refused == {
         9: "the plan has no episode of that number",
-        2: "a job that is pending cannot be retried; only from: failed, cancelled",
+        2: "a job that is pending cannot be retried; it must be in one of the states: failed, cancelled",
     }
     _, row = timed_ledger.rows(1)
     assert (row.state, row.attempt, row.misses, row.reason) == ("pending", 5, 0, "")

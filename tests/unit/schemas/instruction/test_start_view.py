@@ -43,7 +43,7 @@ def _findings(view: StartView, *shown: int, bearing_deg: float = 0.0, pixels: in
         (
             StartView(same_category=(RIVAL,)),
             (RIVAL, OTHER),
-            "objects [5] of the target's category are in view, the target",
+            "objects [5] of the target's category are in view, but not the target",
         ),
         (StartView(within_rad=IN_FRONT_RAD), (TARGET, RIVAL), ""),
         (StartView(within_rad=IN_FRONT_RAD), (RIVAL,), "the target is not in view"),

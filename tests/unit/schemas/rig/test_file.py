@@ -128,7 +128,7 @@ def test_a_mistake_in_a_lidar_is_named_with_its_remedy(tmp_path: Path, lines: tu
 
 def test_a_rate_that_does_not_divide_the_control_rate_is_refused_with_those_that_do(tmp_path: Path):
     message = mistakes(tmp_path, changed("rate_hz = 25"))
-    assert "rate_hz 25 does not divide the control rate, 60 Hz; whole rates that do: 60, 30, 20, 15, 12, 10" in message
+    assert "rate_hz 25 does not divide the control rate, 60 Hz (whole rates that do: 60, 30, 20, 15, 12, 10" in message
     assert "rate_hz 120 does not divide" in mistakes(tmp_path, changed("rate_hz = 120"))
     path = tmp_path / "slow.toml"
     path.write_text(changed("rate_hz = 7.5"))

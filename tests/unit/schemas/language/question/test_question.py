@@ -149,11 +149,11 @@ def test_recorded_images_that_contradict_an_answer_reject_it():
         return verifier().check(question, reader(question.language), images)
 
     assert seen(_Images(sofa, metres)) == ""
-    assert seen(_Images(sofa, 3 * metres + 2)) == "the image shows none at this side and distance"
-    assert seen(_Images(None, metres)) == "the image shows none"
+    assert seen(_Images(sofa, 3 * metres + 2)) == "the image shows no such object at this side and distance"
+    assert seen(_Images(None, metres)) == "the image shows no such object"
     unseen = next(each for each in asked() if each.meaning.answer is AnswerKind.UNSEEN)
     assert seen(_Images(None, metres), unseen) == ""
-    assert seen(_Images(sofa, metres), unseen) == "the image shows one"
+    assert seen(_Images(sofa, metres), unseen) == "the image shows such an object"
 
 
 def test_the_target_of_a_false_premise_is_not_a_goal():
