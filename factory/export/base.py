@@ -35,7 +35,7 @@ FactsT = TypeVar("FactsT", bound=EpisodeFacts)
 
 @dataclass(frozen=True, slots=True)
 class ExportPiece(Generic[FactsT]):
-    """One exported episode, as passed to `finish`. Small, because an export can have hundreds of thousands."""
+    """One exported episode, as passed to `finish`. Small, because an export can have hundreds of thousands of them."""
 
     dataset: Dataset
     position: int
@@ -68,7 +68,7 @@ class Finish(Generic[OptionsT, FactsT]):
     """Input of `finish`."""
 
     dataset: Dataset
-    """Selected episodes, with skipped ones, which have no piece."""
+    """Selected episodes, including skipped episodes, which have no piece."""
     options: OptionsT
     pieces: Sequence[ExportPiece[FactsT]]
     """Pieces in the order of the plan; at least one."""

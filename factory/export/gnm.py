@@ -154,7 +154,8 @@ def pickle_arrays(arrays: Mapping[str, NDArray[np.float64]]) -> bytes:
 class _PortablePickler(pickle.Pickler):
     """Pickles an array as a call of `numpy.array` on a list of floats.
 
-    numpy's own pickles refer to `numpy._core`, which numpy 1.x does not have; those projects pin it (Python 3.8).
+    numpy's own pickles refer to `numpy._core`, which numpy 1.x does not have. GNM, ViNT and NoMaD pin numpy 1.x
+    (Python 3.8).
     """
 
     def reducer_override(self, item: Any) -> Any:

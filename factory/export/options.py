@@ -72,7 +72,7 @@ class PaperOptions(Options):
 
     split_names: Literal["paper", "published"] = Field(
         default="paper",
-        description="Split names: of the paper, or published (test_ood_lang, as in its repository). Default: paper.",
+        description="Names of the splits, as in the paper or as in its published repository. Default: paper.",
     )
 
 

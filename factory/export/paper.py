@@ -135,7 +135,7 @@ def _to_text(meta: EpisodeMeta, options: PaperOptions) -> str:
 
 
 def _metadata(export: Finish[PaperOptions, PaperFacts]) -> pa.Table:
-    """Returns the rows of the episodes: the published columns, then the others without those of the bundle file."""
+    """Returns the rows of the episodes: the published columns, then all others except those about the bundle file."""
     table, facts = export.dataset.metadata, [piece.facts for piece in export.pieces]
     ours = [name for name in table.column_names if name not in {*PUBLISHED_COLUMNS, *_OF_THE_BUNDLE}]
     rows = _decoded(table.take([piece.position for piece in export.pieces]).select([*PUBLISHED_COLUMNS, *ours]))
@@ -154,7 +154,7 @@ def _metadata(export: Finish[PaperOptions, PaperFacts]) -> pa.Table:
 
 
 def _decoded(table: pa.Table) -> pa.Table:
-    """Returns a table whose dictionaries are plain text."""
+    """Returns a table with dictionary-encoded columns converted to plain text."""
     plain = [pa.field(x.name, x.type.value_type if pa.types.is_dictionary(x.type) else x.type) for x in table.schema]
     return table.cast(pa.schema(plain))
 

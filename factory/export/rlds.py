@@ -25,7 +25,7 @@ class RldsObservation(TypedDict):
     depth: NDArray[np.float32]
     """(image_px, image_px, 1) depth along the optical axis, metres; 0 without a hit; nearest-neighbour resampling."""
     state: NDArray[np.float32]
-    """(5,) wheel odometry: x, y, yaw since the first frame in its frame (m, rad), v and w (m/s, rad/s)."""
+    """(5,) wheel odometry: x, y, yaw in the frame of the first pose (m, rad), v and w (m/s, rad/s)."""
 
 
 class Step(TypedDict):

@@ -1,4 +1,4 @@
-"""Describes the source of an export by its content: a states dataset is described as the frames dataset of its plan.
+"""Describes the source of an export by its content; describes a states dataset like a frames dataset of the same plan.
 
 Times and workers are excluded, so that datasets with equal content give equal exports. Reads tables and metadata only.
 """
@@ -26,13 +26,13 @@ _IDENTITY = (
     *("episode_id", "split", "instruction", "target_id", "scene_sha256", "draw", "attempt", "renderer"),
     *("num_steps", "spawn_x_m", "spawn_y_m", "spawn_yaw_rad", "trajectory_length_m", "final_ne_3d_m", "min_ne_m"),
 )
-"""Columns that identify an episode independent of its recording."""
+"""Columns that identify an episode, and are equal for both kinds of recording."""
 
 
 def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:
-    """Opens a dataset whose description is that of a frames recording; raises the errors of `Dataset`.
+    """Opens a dataset and describes it like a frames recording; raises the errors of `Dataset`.
 
-    Without a rig, the recorded camera is exported, also of a dataset whose episodes store a rig.
+    Without `rig`, the recorded camera is exported, even if the episodes of the dataset store a rig.
     """
     dataset = Dataset(root, rig)
     if rig is None:
@@ -50,7 +50,7 @@ def rows_digest(rows: pa.Table) -> str:
 
 
 def as_frames(episode: Episode, steps_visible: int) -> EpisodeMeta:
-    """Returns the metadata of a states recording as the frames recording has it, with the digests of the states.
+    """Returns the metadata that an episode has in a frames recording, but with the digests of its states recording.
 
     Args:
         episode: episode of a states recording.

@@ -38,7 +38,7 @@ from schemas.storage.dataset_files import (
 )
 
 _GROUP_ROWS = 20_000
-"""Rows of a group; a reader of one episode reads one group."""
+"""Number of rows of a row group; to read one episode, a reader decodes one group."""
 _NEW_COLUMNS = ("instruction", "template_id")
 
 
@@ -50,7 +50,7 @@ def assemble(
     Args:
         dataset: source, in a directory.
         instructions: rows of `instructions.parquet`, ordered by episode and number.
-        others: further tables by their file name, ordered by episode.
+        others: additional tables by their file name, ordered by episode.
         spec: content of the language file.
         output: opened output directory.
 

@@ -31,7 +31,7 @@ KEY_VARIABLE = "MINIVLA_PARAPHRASE_KEY"
 """Environment variable of the API key, which is sent to the endpoint only."""
 _MOST_BYTES = 1 << 20
 _MOST_FAILURES = 3
-"""Number of consecutive failed requests after which no more are sent."""
+"""Number of consecutive failed requests after which no further requests are sent."""
 _WANTED = 3
 _PROMPT = (
     "Rewrite this instruction for a mobile robot in {language} in {count} other ways, one on each line, without "
@@ -83,9 +83,9 @@ class _Question(NamedTuple):
 
 
 def with_paraphrases(spec: LanguageSpec, endpoint: Endpoint, cache: Path) -> tuple[LanguageSpec, ParaphraseReport]:
-    """Returns the language file with paraphrased sentence patterns, and what was refused or failed.
+    """Returns the language file with paraphrased sentence patterns, and a report of refused lines and failed requests.
 
-    Patterns without an answer are left as they are: an endpoint that does not answer adds nothing.
+    A pattern for which the endpoint gives no answer gets no paraphrases.
 
     Args:
         spec: content of the language file.
@@ -93,7 +93,7 @@ def with_paraphrases(spec: LanguageSpec, endpoint: Endpoint, cache: Path) -> tup
         cache: file of the answers; it is created if it does not exist.
 
     Raises:
-        UsageError: the URL is not one of HTTP.
+        UsageError: the URL is not an HTTP URL.
         WorldError: the cache is damaged or cannot be written.
     """
     _require_url(endpoint.url)
@@ -141,7 +141,7 @@ def _keep(source: Grammar, lines: tuple[str, ...], own: list[str], refused: Coun
         if fault:
             refused[fault] += 1
         elif line in own or line.replace("{np}", "") in existing:
-            refused["it exists already"] += 1
+            refused["the pattern exists already"] += 1
         else:
             own.append(line)
 

@@ -179,7 +179,7 @@ class PartWriter:
         return self.routes.write(self._place, episode.poses, number, held_out, self._rng(start, _ROUTE_STREAM))
 
     def _questions(self, start: LanguageStart, episode: Episode, found: Sequence[Instruction]) -> list[Question]:
-        """Returns the questions about an episode; those about a view are compared with recorded images."""
+        """Returns the questions about an episode; checks answers about a view with the recorded images, if any."""
         assert self._dataset is not None
         images = episode if self._dataset.meta.plan.record is Recording.FRAMES else None
         goals = tuple(each for each in found if each.kind is InstructionKind.GOAL)
@@ -190,7 +190,7 @@ class PartWriter:
 
 @functools.lru_cache(maxsize=_KEPT_SCENES)
 def prepared_scene(package: ScenePackage) -> SceneLanguage:
-    """Returns the scene graph of a package; those of the most recently used scenes are kept.
+    """Returns the scene graph of a package; keeps the graphs of the most recently used scenes.
 
     Raises:
         ArchiveCorrupt: the package is missing or damaged.
@@ -212,7 +212,7 @@ def instructions_of(
 def rows_of(
     start: LanguageStart, found: list[Instruction], routes: Sequence[dict[str, Any]] = ()
 ) -> list[dict[str, Any]]:
-    """Returns the rows of an episode: goals, routes, and others; the recorded instruction if it has no goal or route.
+    """Returns the rows of an episode: goals and routes, or the recorded instruction if there are none; then all others.
 
     Args:
         start: values of the episode.

@@ -36,7 +36,7 @@ from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTION
 
 _PART_EPISODES = 500
 _PROBES = 200
-"""Number of episodes of each scene whose instructions are tried before any part is written."""
+"""Number of episodes of each scene that are tested for possible instructions before any part is written."""
 _COLUMNS = (
     *("episode_id", "index", "split", "scene", "scene_sha256", "target_id", "target_category"),
     *("spawn_x_m", "spawn_y_m", "spawn_yaw_rad", "instruction", "template_id"),
@@ -80,7 +80,7 @@ class RelabelReport(Model):
     patterns: int = 0
     """Number of distinct sentence patterns."""
     minimal: int = 0
-    """Number of instructions from which no part can be dropped."""
+    """Number of instructions in which every part of the expression is needed."""
     languages: dict[str, int] = Field(default_factory=dict)
     """Number of instructions by language."""
     features: dict[str, int] = Field(default_factory=dict)
@@ -122,13 +122,13 @@ def relabel(
 
     Raises:
         UsageError: the source has no episodes, or `out` contains other files or another relabelling.
-        InvalidLanguage: no target of a scene can get an instruction; the error lists what is possible there. Or a key
-            is for plans only.
+        InvalidLanguage: no target of a scene can get an instruction, and the error lists what is possible there; or
+            the language file has a key for plans only.
         ArchiveCorrupt: the source is damaged.
         WorldError: the disk is full or not available.
     """
     if spec.exchangeable:
-        fault = "exchangeable: a plan draws the start before the target, an episode has its target: remove the key"
+        fault = "exchangeable: only a plan draws the target after the start, an episode has a target: remove the key"
         raise InvalidLanguage("the language file has a key for plans only", [fault])
     dataset = Dataset(root)
     if not len(dataset):
@@ -174,9 +174,9 @@ def _require_same(out: Path, order: RelabelOrder) -> None:
     found = _read_order(path)
     differing = [name for name in RelabelOrder.model_fields if getattr(found, name) != getattr(order, name)]
     if differing:
-        named = {"source_digest": "dataset", "rows_digest": "instructions of the dataset", "spec": "language file"}
+        named = {"source_digest": "dataset", "rows_digest": "metadata table of the dataset", "spec": "language file"}
         what = ", ".join(named.get(name, name) for name in differing)
-        raise UsageError(f"{out} was relabelled with another {what}: delete it, or choose another --out")
+        raise UsageError(f"{out} was relabelled with a different {what}: delete it, or choose another --out")
 
 
 def _read_order(path: Path) -> RelabelOrder:
@@ -187,7 +187,7 @@ def _read_order(path: Path) -> RelabelOrder:
 
 
 def recorded_paraphrases(out: Path, spec: LanguageSpec) -> LanguageSpec | None:
-    """Returns the language file of an interrupted or finished relabelling if it differs in its paraphrases only.
+    """Returns the language file of the relabelling in `out`, if it differs from `spec` in its paraphrases only.
 
     Args:
         out: directory of the new dataset; it need not exist.

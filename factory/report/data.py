@@ -32,7 +32,7 @@ class FrameSample:
 
 @dataclass
 class Drives:
-    """Data read from the episode files: tracks, token counts, sample frames, objects in view."""
+    """Data read from the episode files: driven tracks, token counts, sample frames, objects in view."""
 
     tracks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     """Episode id -> (K, 2) x, y of base_link in the world frame, metres, thinned."""
@@ -49,7 +49,8 @@ class Drives:
 
 
 _FIRST_LAYOUTS, _LAST_LAYOUTS = 3, 2
-"""Number of layouts of a family with a map; the last ones are those of the unseen-scene splits."""
+"""Number of first and of last layouts of a scene family that get a map; the last layouts are those of the
+unseen-scene splits."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class ReportInput:
 
     @property
     def places(self) -> list[str]:
-        """Scenes with a map: those of the plan, and of each family the first and the last layouts."""
+        """Scenes with a map: scenes of the plan; for a scene family, its first and its last layouts."""
         return mapped_scenes(self.meta.plan)
 
     def of(self, scene: str) -> list[EpisodeSummary]:
@@ -81,7 +82,7 @@ class ReportInput:
 
 
 def mapped_scenes(plan: Plan) -> list[str]:
-    """Returns the scenes of a plan with a map in the report."""
+    """Returns the scenes of a plan that the report shows as maps; of a scene family, some layouts."""
     found: list[str] = []
     for scene in plan.scenes:
         names = [part.name for part in plan.parts if family_of(part.name) == scene.name] if scene.layouts else []

@@ -54,7 +54,7 @@ def require_usable(out: Path, force: bool) -> None:
 
 
 def write_files(out: Path, files: Mapping[str, bytes], summary: Summary) -> None:
-    """Replaces the report in a folder atomically per file; deletes files that only the earlier report had.
+    """Writes a report to a folder and replaces each file atomically; deletes files that only the earlier report had.
 
     Raises:
         WorldError: the disk is full or not writable.
@@ -87,6 +87,6 @@ def _read_marker(out: Path) -> Summary | None:
 
 
 def _is_ours(name: str) -> bool:
-    """Returns whether a file name of `report.json`, which can be edited, is a valid name of a report file."""
+    """Returns whether a name is valid for a report file; a user can have edited the names in `report.json`."""
     path = PurePosixPath(name)
     return name == PAGE_FILE or (path.parts[:-1] == (FIGURES,) and path.suffix in {".svg", ".png"})

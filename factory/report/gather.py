@@ -25,7 +25,7 @@ from schemas.storage.shard_index import episode_place
 
 ProgressCallback = Callable[[int, int], None]
 _TRACK_POINTS = 48
-"""Number of points of a thinned track; it resolves the turns of the robot."""
+"""Number of points of a thinned track, enough to show the turns of the robot."""
 _FRAMES_TRIED = 6
 _SHARE_WANTED = 0.08
 """Preferred share of the frame that the target covers, 0..1."""
@@ -115,8 +115,7 @@ def _best_frame(episode: Episode) -> FrameSample:
 
 
 def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, FloorMap], dict[str, SceneInfo]]:
-    """Returns the maps of the report by scene, and the metadata of these and the opened scenes by SHA-256 of the
-    package."""
+    """Returns the maps by scene name, and the metadata of the mapped and the opened scenes by SHA-256 of package."""
     mapped = set(mapped_scenes(rows.meta.plan))
     maps: dict[str, FloorMap] = {}
     infos: dict[str, SceneInfo] = {}
@@ -126,7 +125,7 @@ def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, F
         try:
             scene = read_geometry(find_package(root, name, sha256).path)
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
-            text = f"the map of {name} is missing, and its episodes in the instructions: {format_error(error, root)}"
+            text = f"no map of {name}, and no language statistics of its episodes: {format_error(error, root)}"
             rows.add_damage(SCENES, text)
         else:
             infos[sha256] = scene.info
@@ -138,8 +137,8 @@ def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, F
 def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
     """Returns up to `count` episodes, alternating between scenes, and within a scene between categories.
 
-    Within a category, it chooses the episode whose target is visible for the largest share of the steps, then the
-    first. The result depends on the rows only.
+    Within a category, it chooses the episode whose target is visible for the largest share of the steps, and
+    among equals the first. The result depends on the rows only.
     """
     scenes = dict.fromkeys(row.scene for row in episodes)
     queues = [_in_turn([row for row in episodes if row.scene == scene]) for scene in scenes]

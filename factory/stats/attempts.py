@@ -1,6 +1,7 @@
 """Counts attempts: success, collision and timeout by scene and tier, and the attempts of each cell of the plan.
 
-Counts successes and failures of the task as attempts. Counts crashes, expired leases and the like by reason only.
+Counts successes and failures of the task as attempts. Counts other failures, such as crashes and expired leases, by
+reason only.
 Pure functions; no I/O.
 """
 
@@ -42,7 +43,7 @@ def attempt_rows(
 def first_of_near_and_mid(rows: Iterable[AttemptRow], scene: str) -> Share:
     """Returns the share of first attempts from near and mid starts of a scene that succeeded.
 
-    It is compared with the published rates: 98.8 % of the paper's episodes are of these tiers.
+    This share is compared with the published success rates, because 98.8 % of the paper's episodes are near or mid.
     """
     groups = {f"{scene} / {tier}" for tier in (Tier.NEAR, Tier.MID)}
     found = [row.first for row in rows if row.group in groups]
@@ -52,7 +53,7 @@ def first_of_near_and_mid(rows: Iterable[AttemptRow], scene: str) -> Share:
 def cell_rows(
     episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt] | None, plan: Plan
 ) -> tuple[CellRow, ...]:
-    """Returns the quota, the episodes and the attempts of each cell (scene x split x tier) of the plan or the data."""
+    """Returns quota, episodes and attempts of each cell (scene x split x tier) that is in the plan or has episodes."""
     archived = Counter((family_of(row.scene), str(row.split), str(row.spawn_tier)) for row in episodes)
     failed = Counter(
         (family_of(row.scene), str(row.split), str(row.spawn_tier))

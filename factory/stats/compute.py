@@ -19,7 +19,7 @@ _OTHER = MappingProxyType(
     }
 )
 _WITH_PAPER = ("scenes", "splits", "tiers", "categories", "templates", "attempts", "navigation_error")
-"""Tables whose rows can hold values of the paper."""
+"""Tables whose rows can contain values of the paper."""
 
 
 def measure_dataset(root: Place, compare_paper: bool | None = None) -> Statistics:

@@ -37,7 +37,7 @@ class EpisodeView:
     is_in_view_at_end: bool
     """Whether the target is in view in the last frame."""
     choices: frozenset[int] = frozenset()
-    """Ids of the objects that could be the target, of which it was drawn at the start; empty if the plan names it."""
+    """Ids of the objects from which the target was drawn at the start; empty if the plan names the target."""
 
     @property
     def language(self) -> str:
@@ -135,12 +135,12 @@ def _smallness(seen: SeenObject) -> float:
 
 
 def _alike(view: EpisodeView) -> list[SeenObject]:
-    """Returns the objects of the category in view; of a target that was drawn at the start, those that could be it."""
+    """Returns the objects in view of the target's category, or in view and in `choices` if that is not empty."""
     return [each for each in view.seen if each.id in (view.choices or view.of_category)]
 
 
 def _chance(view: EpisodeView) -> float:
-    """Returns the probability that a random object of the category in view is the target."""
+    """Returns the probability that an object chosen at random from `_alike` is the target."""
     alike = _alike(view)
     return 1 / len(alike) if any(each.id == view.target for each in alike) else 0.0
 

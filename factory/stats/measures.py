@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import scipy  # loads `scipy.stats`, a second, at its first use
+import scipy  # imports `scipy.stats` at its first use, which takes a second
 from numpy.typing import ArrayLike, NDArray
 
 from factory.stats.model import Fit, Interval, Share
@@ -19,7 +19,7 @@ QUANTILES = (0, 5, 25, 50, 75, 95, 100)
 _FEWEST_FOR_INTERVAL = 2
 _FEWEST_FOR_FIT = 3
 _ALIKE = 1e-9
-"""Relative spread (peak to peak over largest magnitude) below which all values count as equal."""
+"""Range of the values divided by the largest magnitude; below this ratio, all values count as equal."""
 
 
 def mean_of(values: Sequence[float]) -> float | None:
@@ -68,10 +68,10 @@ def fit_line(group: str, x: Sequence[float], y: Sequence[float]) -> Fit:
     Args:
         group: Name of the group of episodes.
         x: Spawn distances, metres.
-        y: Trajectory lengths, metres, one for each element of `x`.
+        y: Trajectory lengths, metres; as many as spawn distances.
     """
     if len(x) < _FEWEST_FOR_FIT:
-        return _no_fit(group, len(x), f"needs at least {_FEWEST_FOR_FIT} episodes, has {len(x)}")
+        return _no_fit(group, len(x), f"a fit needs at least {_FEWEST_FOR_FIT} episodes, the group has {len(x)}")
     flat = [name for name, values in (("spawn distances", x), ("trajectory lengths", y)) if _is_flat(values)]
     if flat:
         return _no_fit(group, len(x), f"all {' and '.join(flat)} are equal")

@@ -32,7 +32,7 @@ class Published(Model):
     share: float | None = None
     """Share of all episodes."""
     rate: tuple[float, float] | None = None
-    """Attempt-to-success rate, lower and upper end."""
+    """Range of the share of attempts that succeeded: lower and upper end."""
 
 
 class Remark(Model):
@@ -57,7 +57,7 @@ class RolloutRow(Model):
     steps_mean: float | None
     steps_median: float | None
     ne_interval_m: Interval | None = None
-    """95 % interval of the mean NE (Student's t), metres; this and the next are `None` for fewer than two episodes."""
+    """95 % interval of the mean NE, metres. The three intervals are Student's t; `None` for fewer than two episodes."""
     tl_interval_m: Interval | None = None
     """95 % interval of the mean TL, metres."""
     steps_interval: Interval | None = None
@@ -98,11 +98,11 @@ class AttemptRow(Model):
     attempts: Count
     success: Share
     first: Share
-    """Share of first attempts that succeeded, as the acceptance gate measures it."""
+    """Share of first attempts that succeeded; the gate of `factory run` measures the same share."""
     collision: Share
     timeout: Share
     reasons: dict[str, int]
-    """Failed attempts by reason, including those caused by worker or transport, which do not count as attempts."""
+    """Failures by reason, including failures of a worker or the transport, which do not count as `attempts`."""
     paper: Published | None = None
 
 
@@ -115,7 +115,7 @@ class CellRow(Model):
     planned: Count
     archived: Count
     attempts: Count | None
-    """Attempts that ended in the simulation, including failures; `None` when the table of attempts is unreadable."""
+    """Attempts that ended with success or a failure of the task; `None` when the table of attempts is unreadable."""
 
 
 class ErrorRow(Model):
@@ -156,7 +156,7 @@ class Fit(Model):
 
 
 class FarRow(Model):
-    """Distances along the floor of the far starts of a scene, to the target by the success measure.
+    """Distances along the floor from the far starts of a scene to the target.
 
     A distance is the shortest path to the success region plus the success radius.
     """
@@ -172,7 +172,7 @@ class FarRow(Model):
     short: Share
     """Share of starts less than `least_m` from the target along the floor."""
     corner: Share
-    """Share of starts without a free straight line to the success region; they need a corner."""
+    """Share of starts without a free straight line to the success region: the path has a corner."""
 
 
 class OverlapRow(Model):
@@ -201,7 +201,7 @@ class Statistics(Model):
     planned: Count
     complete: bool
     success: SuccessMeasure = SuccessMeasure.CENTROID
-    """Measure of start distances and navigation errors, except `other_error`."""
+    """Measure of the distance to the target, used for all start distances and errors except `other_error`."""
     success_radius_m: float
     beside_paper: bool = True
     """Whether the rows include values of the paper."""
@@ -234,7 +234,8 @@ class Statistics(Model):
 class LanguageRow(Model):
     """Shares of episodes in which the target can be found without language, or the instruction is not clear.
 
-    If targets are drawn at the start, only the objects that could be the target count as objects of the category.
+    The comment of each `Share` states what is true in the counted episodes. If targets are drawn at the start, only
+    the objects that could be the target count as objects of the category.
     """
 
     group: str
@@ -251,7 +252,7 @@ class LanguageRow(Model):
     largest_of_category: Share
     """The object of the named category with the largest mask at the start is the target."""
     chance: float | None
-    """Share of episodes in which a random object of the named category in view at the start is the target, expected."""
+    """Expected share of episodes whose target is a random object of the named category in view at the start."""
     others_in_view: float | None
     """Mean number of other objects of the named category in view at the start."""
     several_in_scene: Share
@@ -261,7 +262,7 @@ class LanguageRow(Model):
     contradictory: Share
     """The target is not in view at the start, but another object of its category is."""
     not_in_front: Share
-    """The target is not in view, or more than 30 degrees from the heading; of the starts with `in front of you`."""
+    """The target is not in view, or more than 30 degrees from the heading; share of episodes with `in front of you`."""
 
 
 class ArrivalRow(Model):
@@ -282,7 +283,7 @@ class WordingRow(Model):
     distinct: Count
     """Number of different instructions."""
     vocabulary: Count
-    """Number of different words; in Chinese of characters."""
+    """Number of different words, or of characters in Chinese."""
     words_mean: float | None
     """Mean length, words."""
     words_least: Count
@@ -290,7 +291,7 @@ class WordingRow(Model):
     words_most: Count
     """Largest length, words."""
     self_bleu: float | None
-    """Mean BLEU-4 of an instruction with the others as references; small if they vary."""
+    """Mean BLEU-4 of each instruction with all others as references; small if the instructions vary."""
 
 
 class LanguageStatistics(Model):
@@ -312,7 +313,7 @@ class LanguageStatistics(Model):
     wording: tuple[WordingRow, ...]
     """One row for each language, most frequent first."""
     unique: Share
-    """The instruction fits exactly one object of the scene; false premises fit none."""
+    """Share of instructions that fit exactly one object of the scene."""
     others_in_scene: float | None
     """Mean number of other objects of the named category in the scene."""
     false_premises: Count

@@ -17,13 +17,13 @@ ALL = "all"
 """Name of the group of all episodes."""
 Episodes = Sequence[EpisodeSummary]
 _STRAIGHT_M = 0.001
-"""Largest difference between the geodesic and the straight distance on a free line, metres; poses are float32."""
+"""Tolerance when a geodesic distance is compared with the straight distance, metres, because poses are float32."""
 
 
 def by_measure(episodes: Episodes, success: SuccessMeasure) -> list[EpisodeSummary]:
-    """Returns the episodes with `spawn_dist_m` and `final_ne_m` by a success measure.
+    """Returns the episodes with `spawn_dist_m` and `final_ne_m` replaced by the distances of a success measure.
 
-    Omits episodes that do not record the measure: those in scenes of older versions have no distance to the footprint.
+    Omits episodes without these distances: in scenes of older versions, the distance to the footprint is not recorded.
     """
     if success is SuccessMeasure.CENTROID:
         return list(episodes)
@@ -44,7 +44,7 @@ def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...
 
 
 def by_split(episodes: Episodes) -> tuple[RolloutRow, ...]:
-    """Returns one row for each split of the paper or with episodes, and one for all splits (paper Table VI)."""
+    """Returns one row for each split that the paper has or that has episodes, and one for all splits (Table VI)."""
     present = {row.split for row in episodes}
     splits = [split for split in Split if split in paper.SPLITS or split in present]
     return _rows(episodes, splits, lambda row: row.split, paper.SPLITS)

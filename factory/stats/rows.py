@@ -33,7 +33,7 @@ Row = TypeVar("Row", bound=Model)
 
 @dataclass
 class Rows:
-    """Rows read from a dataset, and remarks about those omitted."""
+    """Rows read from a dataset, and remarks about omitted rows."""
 
     meta: DatasetMeta
     episodes: list[EpisodeSummary] = field(default_factory=list)
@@ -42,7 +42,7 @@ class Rows:
     remarks: list[Remark] = field(default_factory=list)
 
     def add_remark(self, file: str, text: str) -> None:
-        """Adds a remark about unfinished or missing data that are not damage."""
+        """Adds a remark about unfinished or missing data, which is not damage."""
         self.remarks.append(Remark(is_damage=False, file=file, text=text))
 
     def add_damage(self, file: str, text: str) -> None:
@@ -108,14 +108,14 @@ def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
     sizes = {row.episode_id: _size_of(found.get(row.index)) for row in rows.episodes}
     missing = [name for name, size in sizes.items() if size is None]
     cut = [
-        f"{row.episode_id} ({sizes[row.episode_id]} bytes, recorded {row.file_bytes})"
+        f"{row.episode_id} ({sizes[row.episode_id]} bytes instead of {row.file_bytes})"
         for row in rows.episodes
         if sizes[row.episode_id] not in (None, row.file_bytes)
     ]
     if missing:
         rows.add_damage(EPISODES, f"{len(missing)} episodes skipped, because the file is missing: {_some(missing)}")
     if cut:
-        rows.add_damage(EPISODES, f"{len(cut)} episodes skipped, because the file has another size: {_some(cut)}")
+        rows.add_damage(EPISODES, f"{len(cut)} episodes skipped, because the file size is wrong: {_some(cut)}")
     return [row for row in rows.episodes if sizes[row.episode_id] == row.file_bytes]
 
 
@@ -137,7 +137,8 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
         )
     else:
         if table.num_rows != rows.meta.failed_attempts:
-            rows.add_damage(ATTEMPTS_FILE, f"has {table.num_rows} rows, {META_FILE} has {rows.meta.failed_attempts}")
+            failed = rows.meta.failed_attempts
+            rows.add_damage(ATTEMPTS_FILE, f"has {table.num_rows} rows, but {META_FILE} has {failed} failed attempts")
         return _parse(rows, ATTEMPTS_FILE, _values(table), FailedAttempt)
     return None
 
@@ -145,20 +146,20 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
 def _compare_with_meta(rows: Rows, table_rows: int) -> None:
     meta = rows.meta
     if table_rows != meta.episodes:
-        rows.add_damage(METADATA_FILE, f"has {table_rows} rows, {META_FILE} has {meta.episodes} episodes")
+        rows.add_damage(METADATA_FILE, f"has {table_rows} rows, but {META_FILE} has {meta.episodes} episodes")
     if not meta.complete:
         rows.add_remark(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
     if not rows.episodes:
-        rows.add_remark(METADATA_FILE, "no episodes; there are no means")
+        rows.add_remark(METADATA_FILE, "no episodes, so that no means can be computed")
 
 
 def _compare_with_plan(rows: Rows) -> None:
-    """Reports cells above their quota, and cells below it when the run is complete."""
+    """Adds a remark on cells above their quota, and in a complete run also on cells below it."""
     plan = rows.meta.plan
     found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
     wanted = {(scene.name, *cell): count for scene in plan.parts for cell, count in cells(plan, scene).items()}
     wrong = [
-        f"{' / '.join(key)} has {found[key]} of {wanted.get(key, 0)}"
+        f"{' / '.join(key)} has {found[key]} of {wanted.get(key, 0)} episodes"
         for key in sorted(found.keys() | wanted.keys())
         if found[key] > wanted.get(key, 0) or (rows.meta.complete and found[key] < wanted.get(key, 0))
     ]
@@ -167,7 +168,7 @@ def _compare_with_plan(rows: Rows) -> None:
 
 
 def _compare_with_shared_instances(rows: Rows) -> None:
-    """Reports categories shared by training and evaluation, and instances shared although the plan separates them."""
+    """Adds remarks on categories that training and evaluation share, and on instances shared against the plan."""
     shared = rows.meta.shared_instances
     if shared is None:
         return

@@ -56,7 +56,7 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
 
 
 def read_fits(root: Place) -> dict[str, int]:
-    """Returns the number of objects that the instruction of each relabelled episode fits; empty without relabelling."""
+    """Returns how many objects the instruction of each relabelled episode fits, by id; empty without relabelling."""
     if not (root / INSTRUCTIONS_FILE).is_file():
         return {}
     rows = read_table(root / INSTRUCTIONS_FILE, ("episode_id", "number", "fits")).to_pylist()
@@ -93,7 +93,11 @@ def read_view(
 
 
 def _fitting(meta: EpisodeMeta, info: SceneInfo, fits: int | None) -> frozenset[int]:
-    """Returns the objects that an instruction fits: of a verified one the target, none, or all of its category."""
+    """Returns the objects that an instruction fits.
+
+    For a verified instruction, only the number of objects is recorded: 0 means no object, 1 the target, and a larger
+    number is counted as all objects of the category.
+    """
     if fits is None and meta.language is not None:
         fits = meta.language.fits
     if fits is None:

@@ -2,7 +2,7 @@
 
 Self-BLEU: Zhu et al., "Texygen: A Benchmarking Platform for Text Generation Models", SIGIR 2018; the mean BLEU-4
 (Papineni et al., ACL 2002) of each sentence with all others as references, smoothed:
-near 0 for sentences without common words, 1 for equal ones.
+near 0 if the sentences have no words in common, 1 if they are equal.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from factory.stats.measures import mean_of
 from factory.stats.model import WordingRow
 
 _MOST_COMPARED = 300
-"""Largest number of sentences of a language for self-BLEU, evenly spread."""
+"""Maximum number of sentences of a language for self-BLEU, taken evenly from all."""
 _ORDERS = 4
 _SMOOTH = 0.1
-"""Count of an n-gram order without a match (method 1 of Chen and Cherry, WMT 2014)."""
+"""Count used instead of 0 for an n-gram order without a match (method 1 of Chen and Cherry, WMT 2014)."""
 _WORD = re.compile(r"[\u3400-\u9fff]|[^\W\d_]+(?:['’-][^\W\d_]+)*|\d+")
 """A word, or one Chinese character."""
 NGrams = Counter[tuple[str, ...]]
@@ -77,7 +77,7 @@ def _two_largest(sentences: Sequence[NGrams]) -> dict[tuple[str, ...], tuple[int
 
 
 def _precision(grams: NGrams, limits: dict[tuple[str, ...], tuple[int, int]]) -> float:
-    """Returns the share of the n-grams of a sentence that another sentence has as often."""
+    """Returns the clipped n-gram precision of BLEU: a sentence's share of n-grams that occur in another sentence."""
     matched = 0
     for gram, count in grams.items():
         first, second = limits[gram]
@@ -86,7 +86,7 @@ def _precision(grams: NGrams, limits: dict[tuple[str, ...], tuple[int, int]]) ->
 
 
 def _brevity(length: int, lengths: Counter[int]) -> float:
-    """Returns the brevity penalty of a sentence, by the length of another sentence that is nearest to its length."""
+    """Returns the brevity penalty of BLEU; the reference is the other sentence whose length is nearest."""
     others = [other for other, count in lengths.items() if other != length or count > 1]
     nearest = min(others, key=lambda other: (abs(other - length), other))
     return 1.0 if length >= nearest else math.exp(1 - nearest / max(length, 1))

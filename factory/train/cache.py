@@ -121,7 +121,7 @@ def _read_index(folder: Path) -> FramesIndex | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValidationError:
-        return None  # written by another version: written again
+        return None  # written by another version; the caller replaces it
 
 
 def _open(folder: Path, index: FramesIndex, dataset: Dataset) -> TrainingFrames:

@@ -42,7 +42,7 @@ class CacheKey(Model):
 
 
 class LabelledEpisode(Model):
-    """Rows of one episode."""
+    """Episode with its rows of the training: `frames` rows, starting at row `first`."""
 
     episode_id: str
     instruction: str
@@ -190,7 +190,7 @@ def require_episodes(dataset: Dataset) -> None:
     """
     if not len(dataset):
         raise UsageError(
-            f"{dataset.root} has no episodes of this split, scene and tier; `factory status` prints those that it has"
+            f"{dataset.root} has no episodes of this split, scene and tier; `factory status` lists its episodes"
         )
 
 

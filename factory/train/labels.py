@@ -21,10 +21,11 @@ class Labels(NamedTuple):
 
 
 def stop_frame(actions: NDArray[np.float32], max_braking_mps2: float, control_hz: int) -> int:
-    """Returns the first frame of the final full braking; the number of frames without one.
+    """Returns the first frame of the final full braking, or the number of frames if there is none.
 
     The recorded commands are slew limited: the expert's decision to stop appears as a speed that decreases at the
-    braking limit to 0 and remains there. A speed that decreases with the distance falls ten times more slowly.
+    braking limit to 0 and remains there. A speed that the expert reduces with the distance to the target falls
+    ten times more slowly.
 
     Args:
         actions: (T, 2) recorded commands.
@@ -50,8 +51,8 @@ def chosen_frames(steps: int, stride: int) -> NDArray[np.int64]:
 def label_episode(actions: NDArray[np.float32], frames: NDArray[np.int64], stop: int, hold: int) -> Labels:
     """Returns the labels of the selected frames.
 
-    The twist of a frame is the command at the end of its hold time, but not after the frame before the stop. The end is
-    used because the first commands of an episode only reflect the acceleration limit.
+    The twist of a frame is the command at the end of its hold time, or at the last frame before the stop if that is
+    earlier. The end is used because the first commands of an episode only reflect the acceleration limit.
 
     Args:
         actions: (T, 2) recorded commands.

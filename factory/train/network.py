@@ -23,11 +23,11 @@ class NetworkOutput(NamedTuple):
     """Network output for N frames."""
 
     action: Tensor
-    """(N, 2) v over the maximum speed, 0..1, and w over the maximum yaw rate, -1..1; continuous head only."""
+    """(N, 2) v / maximum speed, 0..1, and w / maximum yaw rate, -1..1; continuous head only."""
     stop: Tensor
     """(N,) stop logits; continuous head only."""
     cells: Tensor
-    """(N, 49) logits of the grid points, index 7 v + w; token head only."""
+    """(N, 49) logits of the grid points, at index 7 * token of v + token of w; token head only."""
     mask: Tensor
     """(N, S/8, S/8) logits of the target mask."""
 

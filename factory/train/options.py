@@ -23,13 +23,13 @@ class BcOptions(Model):
     ablate_language: bool = False
     """Whether every instruction is replaced by one constant token."""
     positions: Annotated[bool, Field(exclude_if=lambda it: not it)] = False
-    """Whether the features that locate the target include their position in the image; omitted if not."""
+    """Whether the features that locate the target include their position in the image; not stored if false."""
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     size: int = 128
     """Side of the network's input picture, pixels."""
     antialias: Annotated[int, Field(ge=1)] | None = None
-    """Samples per pixel and axis of the frames of a states dataset; `None` gives the pictures of stored frames."""
+    """Samples per pixel along each axis when states are rendered; `None` gives the same pictures as stored frames."""
     width: Annotated[int, Field(ge=4, le=256, multiple_of=4)] = 24
     """Channels of the first stage, a multiple of four (GroupNorm); later stages have two and four times as many."""
     hold: Annotated[int, Field(ge=1, le=60)] = 6

@@ -17,7 +17,7 @@ FAR_M = 10.0
 _MM_PER_M = 1000.0
 _BRIGHTNESS, _CONTRAST, _TINT = 0.25, 0.2, 0.08
 _CLOSER = 0.75
-"""Smallest zoom factor: a view from 1 m is enlarged to look like one from 0.75 m."""
+"""Smallest zoom factor: a view from 1 m is enlarged to look like a view from 0.75 m."""
 _ENLARGED = 0.6
 """Share of the stop frames that are zoomed."""
 
@@ -82,9 +82,9 @@ class Batch(NamedTuple):
 
 
 def augment(batch: Batch, rng: np.random.Generator, mirrored_words: NDArray[np.int64]) -> Batch:
-    """Returns the frames mirrored and with other brightness and contrast at random; also zooms some stop frames.
+    """Returns the frames with random changes: mirroring, brightness, contrast, and the zoom of some stop frames.
 
-    The instruction of a mirrored frame says right for left.
+    In the instruction of a mirrored frame, left and right are exchanged.
 
     The expert stops on the success circle, so no recorded frame shows the view of a robot that is too close. A zoomed
     frame with equally scaled depths approximates such a view; its label is a stop, too.

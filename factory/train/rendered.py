@@ -21,7 +21,7 @@ def render_frames(
         dataset: Episodes that store states.
         size: Side of the pictures, pixels.
         hold: Steps between two selected frames.
-        antialias: Samples per pixel along each axis; `None` gives the pictures of stored frames, bit for bit.
+        antialias: Samples per pixel along each axis; `None` gives the same pictures as stored frames.
         memory_bytes: Memory for rendered pictures; the first rows that fit are rendered once, the others in each epoch.
         tell: Progress callback, called with labelled and total episodes; may raise to cancel.
 

@@ -156,7 +156,8 @@ def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrame
     if not len(part):
         found = ", ".join(sorted(set(order.dataset.column("split").to_pylist()))) or "none"
         raise UsageError(
-            f"{order.dataset.root} has no such episodes in split {order.split}; splits with episodes: {found}"
+            f"{order.dataset.root} has no episodes in split {order.split} for this scene and tier; "
+            f"splits with episodes: {found}"
         )
 
     def tell(done: int, of: int) -> None:

@@ -1,6 +1,6 @@
 """Vocabulary of the instructions: encodes words as token indices. Pure functions; checkpoints contain their vocabulary.
 
-The vocabulary contains the words of all templates, including the paraphrased ones, the categories and the colours. The
+The vocabulary contains the words of all templates, including paraphrase templates, the categories and the colours. The
 embedding of a word without a training sentence keeps its initial value, so the list leaks no test information.
 """
 

@@ -14,7 +14,7 @@ class Access:
     """Access rules of one server."""
 
     token: str
-    """Secret of this server, which permits changes of flags, notes and jobs."""
+    """Secret of this server; requests with it may change flags, notes and jobs."""
     reads_openly: bool
     """Whether requests without the token may read; true on loopback only."""
 

@@ -42,7 +42,7 @@ def create_app(
         context: state that all requests share.
         address: configured address of the server.
         access: token and reading rights.
-        more_routes: further routes, for example the status pages of a coordinator.
+        more_routes: additional routes, for example the status pages of a coordinator.
     """
     app = Starlette(
         routes=[*all_routes(context.farm), *more_routes],

@@ -1,4 +1,4 @@
-"""Draws line and column charts as SVG text without styles and scripts; the page's stylesheet has the colours.
+"""Draws line and column charts as SVG text without styles and scripts; the page's stylesheet sets the colours.
 
 Pure functions.
 """

@@ -35,7 +35,7 @@ class FarmView(NamedTuple):
     fragment: str
     """The part of the page that changes, as HTML."""
     failed_scenes: list[tuple[str, int]]
-    """Scenes whose failures are drawn, with their number."""
+    """Scenes for which the page draws a map of failures, with the number of failures."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class WebContext:
     workspace: Workspace
     """The dataset and its run."""
     farm: Recent[FarmView]
-    """Content of the farm page, shared by all requests of some seconds."""
+    """Content of the farm page, shared by all requests within a few seconds."""
     marks: Marks
     """Flags and notes."""
     frames: FrameStore
@@ -74,7 +74,7 @@ def page(request: Request, template: str, title: str, status: int = 200, **value
         template: name of the template without folder and suffix.
         title: title of the page.
         status: HTTP status.
-        values: further values of the template.
+        values: additional values of the template.
     """
     scope = request.scope
     path, place = request.url.path, str(context_of(request).workspace.site)

@@ -1,4 +1,4 @@
-"""Keeps the table of the episodes current: reads changed files in the background and answers from the previous ones.
+"""Keeps the table of the episodes current: reads changed files in the background and meanwhile returns the old table.
 
 A large table takes seconds to read, and a page must not wait for it.
 """
@@ -15,7 +15,7 @@ from factory.web.live import pause_after
 from factory.web.table import EpisodeTable
 
 _PATIENCE_S = 0.1
-"""Longest wait of a request for changed files, seconds; then it is answered from the previous ones."""
+"""Maximum time that a request waits for changed files to be read, seconds; after it, the request gets the old table."""
 
 
 class CurrentTable:
@@ -24,7 +24,8 @@ class CurrentTable:
     Args:
         read: function that reads the dataset.
         version: function that returns a value that changes with the files; `None` if that is unknown.
-        pause_s: least time between two checks, seconds. It is at least fifty times the CPU time of reading the files.
+        pause_s: minimum time between two checks, seconds. After a reading, the pause is longer by fifty times its CPU
+            time.
         clock: function that returns the time, seconds.
     """
 
@@ -53,7 +54,7 @@ class CurrentTable:
         return found
 
     def get_within(self, seconds: float | None) -> EpisodeTable | None:
-        """Returns the table as `get`, or `None` if the first one is not read within a time; `None` waits for it."""
+        """Returns the table like `get`, or `None` if no table is read within `seconds`; `None` waits without limit."""
         with self._lock:
             if self._reading is None and (self._table is None or self._clock() > self._next_check_s):
                 self._check()
@@ -71,7 +72,7 @@ class CurrentTable:
             return None
 
     def _check(self) -> None:
-        """Starts to read the files if they have changed; the lock is held."""
+        """Starts to read the files if they have changed; the caller holds the lock."""
         version = self._version_of()
         self._next_check_s = self._clock() + self._pause_s
         if self._table is None or version is None or version != self._version:

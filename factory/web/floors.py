@@ -24,7 +24,7 @@ class FloorMark(NamedTuple):
     xy_m: tuple[float, float]
     """Location x, y, metres."""
     is_exact: bool
-    """Whether it is the location of the robot; otherwise it is the target's, and the mark is a ring."""
+    """Whether `xy_m` is the location of the robot; otherwise, it is that of the target, and the mark is a ring."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class FloorStore:
             ArchiveCorrupt: the package is missing.
             InvalidBundle: the package is damaged.
         """
-        with self._lock:  # drawing one takes a second; a second request for it waits
+        with self._lock:  # drawing takes a second; other requests for the same plan wait
             if package not in self._kept:
                 self._kept[package] = _draw(package)
                 while len(self._kept) > _KEPT:

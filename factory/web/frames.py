@@ -52,7 +52,7 @@ class FrameKey(NamedTuple):
 
 
 def first_frames(scenes: Sequence[str], episodes: Sequence[str]) -> list[FrameKey]:
-    """Returns the first frame of one episode for each of the first scenes, as many as stay prepared.
+    """Returns the first frame of one episode for each of the first scenes, for at most as many scenes as stay prepared.
 
     Args:
         scenes: scene of each episode.
@@ -96,7 +96,7 @@ class FrameStore:
         """
         dataset = self._workspace.dataset()
         with self._lock:
-            if dataset is not self._dataset:  # the tables have changed; an episode may have another content
+            if dataset is not self._dataset:  # the tables have changed; the content of an episode may differ
                 self._dataset = dataset
                 for kept in (self._episodes, self._turns, self._encoded):
                     kept.clear()
@@ -127,10 +127,10 @@ class FrameStore:
                 return self._waiting[key]
             if len(self._waiting) >= _MOST_WAITING:
                 raise TooBusy(f"{_MOST_WAITING} frames are waiting")
-            kinds = (key.kind,) if _is_stored(episode) else KINDS  # a rendering has all three images
+            kinds = (key.kind,) if _is_stored(episode) else KINDS  # one rendering gives all three images
             made = {other: Future[bytes]() for other in (key._replace(kind=kind) for kind in kinds)}
             for future in made.values():
-                future.set_running_or_notify_cancel()  # a client that leaves does not cancel it for others
+                future.set_running_or_notify_cancel()  # a client that disconnects does not cancel it
             self._waiting |= made
             turn = self._turns[key.episode_id]
         self._pool.submit(self._make, episode, made, turn)
@@ -144,8 +144,8 @@ class FrameStore:
     def prepare(self, keys: Sequence[FrameKey]) -> None:
         """Renders images in the background, one after another, so that the renderer and their scenes are prepared.
 
-        Does nothing while an earlier call is at work, and for episodes that store frames. Errors are those of a later
-        request for the image.
+        Does nothing while an earlier call is at work, and for episodes that store frames. Ignores errors, which a later
+        request for the image reports.
         """
         with self._lock:
             if self._prepared is None or self._prepared.done():

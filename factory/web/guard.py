@@ -81,7 +81,7 @@ class RequestGuard:
             return _plain(414, f"the query is longer than {MOST_QUERY_BYTES} bytes")
         host = headers.get("host", "")
         if not is_own_name(host, self._address):
-            return _plain(421, f"not served as {host[:80]}: use the address of this server")
+            return _plain(421, f"this server does not serve {host[:80]}: use its own address")
         return self._refused_change(scope, headers) if method == "POST" else self._refused_read(scope, path)
 
     def _refused_change(self, scope: Scope, headers: Headers) -> Response | None:

@@ -24,7 +24,7 @@ class LiveFeed:
 
     Args:
         compute: function that returns the current fragment; called in a thread, never twice at a time.
-        pause_s: least time between two calls, seconds.
+        pause_s: minimum time between two calls, seconds.
         forget: function that is called before the last call, so that the last fragment is current even if `compute`
             shares its result with others.
     """
@@ -40,7 +40,7 @@ class LiveFeed:
         self._poller: asyncio.Task[None] | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Sends events until the tab closes, or until the server does, with a last event; an ASGI application."""
+        """ASGI application: sends events until the tab closes, or until the server closes, after a last event."""
         if self._tabs >= _MOST_TABS:
             await send({"type": "http.response.start", "status": 503, "headers": [(b"retry-after", b"30")]})
             await send({"type": "http.response.body", "body": b"too many open tabs\n"})
@@ -64,7 +64,7 @@ class LiveFeed:
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         seen = 0
         while True:
-            await self._polled.wait()  # text of an earlier reading may be older than the page of this tab
+            await self._polled.wait()  # earlier text may be older than the page of this tab
             if self._version != seen:
                 seen = self._version
                 async with asyncio.timeout(_SEND_S):
@@ -93,7 +93,7 @@ class LiveFeed:
 
 
 def pause_after(cost_s: float, least_s: float) -> float:
-    """Returns the pause after a reading with a CPU time, at least `least_s`; all in seconds."""
+    """Returns the pause after a computation that took `cost_s` of CPU time, at least `least_s`; all in seconds."""
     return max(least_s, _SHARE * cost_s)
 
 

@@ -17,7 +17,7 @@ class Recent(Generic[T]):
 
     Args:
         compute: function whose result is shared.
-        longest_s: greatest age of a result, seconds.
+        longest_s: maximum age of a result, seconds.
         clock: function that returns the time, seconds.
     """
 

@@ -24,7 +24,7 @@ from schemas.support.closing import Closing
 _REQUEST_S = 5.0
 """Timeout for receiving a request with its form, seconds."""
 _STALLED_S = 20.0
-"""Time after which a client that receives nothing of a waiting reply is disconnected, seconds."""
+"""Time after which a client that reads nothing of a pending reply is disconnected, seconds."""
 _MOST_CONNECTIONS = 512
 _MOST_HEAD_BYTES = 16 << 10
 _CLOSING = "minivla.closing"

@@ -35,7 +35,7 @@ from schemas.protocol.administration import AdminReply, AdminRequest
 _FARM_AGE_S = 3.0
 """Greatest age of the shown state of a run, seconds."""
 _READ_AHEAD = 1000
-"""Number of episodes whose scenes are prepared, as far as they stay prepared."""
+"""Number of first episodes whose scenes are prepared, up to the number of scenes that stay prepared."""
 
 
 @contextmanager
@@ -61,10 +61,10 @@ def serve(
         ledger: URL of the ledger; `None` for the ledger of the dataset.
         administer: function that executes an admin request; `None` asks the running coordinator of the dataset, or
             changes the ledger if none runs.
-        more_routes: further routes of the application.
+        more_routes: additional routes of the application.
         evaluations: directories of `factory eval -o`.
-        renders_ahead: renders a frame of each of the first scenes of a dataset of states at once, so that the first
-            viewer does not wait for a rendering process and its scenes; not during a run.
+        renders_ahead: whether to render a frame of each of the first scenes of a states dataset immediately, so that
+            the first viewer does not wait for a rendering process and its scenes; false during a run.
 
     Raises:
         UsageError: the address is malformed, or other machines can reach it without a token and without TLS.

@@ -172,12 +172,12 @@ class EpisodeTable:
 
     def _order(self, column: str) -> Indices:
         held = self.dataset.column("index" if column == "episode_id" else column)
-        if pa.types.is_dictionary(held.type):  # the ranks of few values, instead of the text of all rows
+        if pa.types.is_dictionary(held.type):  # rank the few distinct values instead of all rows
             ranks = pc.rank(held.dictionary.cast(pa.string())).to_numpy()
             numbers = ranks[held.indices.to_numpy(zero_copy_only=False)]
         else:
             numbers = held.to_numpy(zero_copy_only=False)
-        if np.all(numbers[1:] >= numbers[:-1]):  # the table is written in the order of the episodes
+        if np.all(numbers[1:] >= numbers[:-1]):  # already sorted, as the episodes of a table are
             return np.arange(len(numbers), dtype=np.int32)
         return np.argsort(numbers, kind="stable").astype(np.int32)
 
@@ -205,7 +205,7 @@ class EpisodeTable:
 
 
 def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:
-    """Returns which rows match; a dictionary is searched once for each value."""
+    """Returns which rows match; of a dictionary-encoded column, each distinct value is searched once."""
     if not pa.types.is_dictionary(column.type):
         return _as_mask(match(column.cast(pa.string())))
     held = _as_mask(match(column.dictionary.cast(pa.string())))

@@ -163,7 +163,7 @@ class Workspace:
                 raise
             raise WorldError(
                 f"run {run} has no tables of episodes yet: its coordinator writes them soon after the first archived "
-                "episode; load this page again then"
+                "episode; then load this page again"
             ) from error
 
     def _run_without_tables(self) -> str | None:

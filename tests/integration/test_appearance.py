@@ -163,7 +163,7 @@ def test_an_environment_shows_the_appearance_and_refuses_clutter(recordings: Rec
         finally:
             env.close()
     assert len({image.tobytes() for image in seen}) == 3
-    with pytest.raises(UsageError, match="clutter, which keeps its distance from a recorded drive"):
+    with pytest.raises(UsageError, match="clutter, which is placed away from a recorded path"):
         MiniVLANavEnv(data=states, appearance="full")
 
 

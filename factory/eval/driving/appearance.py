@@ -1,4 +1,4 @@
-"""Appearance of closed-loop episodes, which have no recorded path from which clutter could keep its distance."""
+"""Finds the appearance of evaluation episodes. They cannot have clutter, which is placed away from a recorded path."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from schemas.errors import UsageError
 
 
 def live_appearance(appearance: str | Path | Appearance) -> Appearance | None:
-    """Returns the appearance of a closed-loop evaluation: ranges, or those of a name or file; `None` for `none`.
+    """Returns the appearance of an evaluation, given as ranges, name or file; `None` for the name `none`.
 
     Raises:
         UsageError: the appearance does not exist, or has clutter.
-        InvalidAppearance: the file has mistakes.
+        InvalidAppearance: the file is not valid.
     """
     found = appearance if isinstance(appearance, Appearance) else find_appearance(str(appearance))
     if found is not None and found.clutter is not None:
         raise UsageError(
-            f"appearance {found.name!r} has clutter, which keeps its distance from a recorded drive and is not solid: "
-            "remove `clutter` for an evaluation, or choose `varied`"
+            f"appearance {found.name!r} has clutter, which is placed away from a recorded path and has no "
+            "collision shape: remove `clutter` for an evaluation, or choose `varied`"
         )
     return found

@@ -23,9 +23,9 @@ class PolicyInput(TypedDict):
     """Observation passed to a policy before each action."""
 
     rgb: NotRequired[NDArray[np.uint8]]
-    """(640, 640, 3) sRGB, top row first; only if the robot has the recorded camera, as without `--rig`."""
+    """(640, 640, 3) sRGB, top row first; present if the robot has the recorded camera, e.g. without `--rig`."""
     depth: NotRequired[NDArray[np.float32]]
-    """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing; with `rgb`."""
+    """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing; present if `rgb` is."""
     sensors: NotRequired[dict[str, dict[str, NDArray[Any]]]]
     """Latest measurement of each sensor of the rig, by sensor and array (docs/rigs.md#policies); only with `--rig`."""
     instruction: str
@@ -112,7 +112,7 @@ class PolicyFault(StrEnum):
     HUNG = "policy_hung"  # no output within the time limit
     INVALID = "policy_invalid"  # NaN, infinity, or a shape that is not valid for actions
     DIED = "policy_died"  # the policy process died during a call
-    LOST = "policy_lost"  # the server closed the connection during an episode, twice
+    LOST = "policy_lost"  # the server closed the connection in an episode, and again in its repetition
 
 
 class PolicyFailure(Exception):

@@ -1,7 +1,7 @@
-"""Latest measurements of the sensors of a rig in a running episode, as policies and the Gymnasium environment get them.
+"""Measures the sensors of a rig in a running episode, for policies and the Gymnasium environment.
 
-They equal those of `Episode.observe` and `Episode.motion` for the same drive and seed. Ids are ground truth and are
-not given. Runs no episode.
+The measurements equal those of `Episode.observe` and `Episode.motion` for the same drive and seed. Instance ids are
+omitted, because they are ground truth. Runs no episode.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ def require_live(rig: Rig, control_hz: int) -> None:
 
 
 def live_arrays(sensor: Sensor) -> dict[str, ArraySpec]:
-    """Returns the specs of one measurement of a sensor by name, without ids."""
+    """Returns the specs of the arrays of one measurement of a sensor, by array name; without instance ids."""
     specs = {name: spec for name, spec in arrays_of(sensor).items() if name != _IDS}
     is_motion = isinstance(sensor, Imu | WheelOdometry)
     return {name: replace(spec, shape=spec.shape[1:]) if is_motion else spec for name, spec in specs.items()}
 
 
 def shows_recorded_camera(rig: Rig | None, camera: CameraConfig) -> bool:
-    """Returns whether the recorded camera is available: without a rig, or if a perfect camera of the rig equals it."""
+    """Returns whether the recorded camera is available: without a rig, or if a noise-free rig camera equals it."""
     if rig is None:
         return True
     (paper,) = paper_rig().cameras
@@ -69,7 +69,7 @@ class RigSensors:
         self._latest: dict[str, tuple[int, dict[str, NDArray[Any]]]] = {}
 
     def measure(self) -> SensorArrays:
-        """Returns copies of the latest measurement of each sensor; a sensor with a low rate keeps it until the next."""
+        """Returns copies of the latest measurement of each sensor, which can be older than the current step."""
         track = self._simulator.trajectory()
         for sensor in self._rig.sensors:
             stride = sensor.stride(track.control_hz)

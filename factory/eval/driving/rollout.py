@@ -47,7 +47,7 @@ TRACK_HZ = 10
 
 
 class PolicyCallObserver(Protocol):
-    """Observer of policy calls, which allows a monitoring process to distinguish a hanging policy from a simulation."""
+    """Observer of policy calls, so that a monitor can distinguish a hanging policy from a hanging simulation."""
 
     def before_call(self, simulator: Simulator, view: Observation) -> None:
         """Called before a call of the policy, with the current view; the first call of an episode is its reset."""
@@ -92,7 +92,7 @@ class _EpisodeRun:
     act_s: float = 0.0
 
     sensors: RigSensors | None = None
-    """Sensors of the rig; `None` without one."""
+    """Sensors of the rig; `None` without a rig."""
 
     @property
     def rig(self) -> Rig | None:

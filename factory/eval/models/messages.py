@@ -36,7 +36,7 @@ class EvalRequest(Model):
 
     @property
     def key(self) -> Key:
-        """Key of its result."""
+        """Key of the result of this request."""
         return self.spec.spec_id, self.variant, self.instruction
 
 

@@ -73,11 +73,11 @@ class EpisodeResult(Model):
     """Navigation error (NE): distance to the target at the end, by the success measure like all distances to it."""
     min_ne_m: NonNegative
     final_centroid_m: NonNegative | None = None
-    """NE by the centroid; `None` in results of older versions and of killed drivers."""
+    """NE by the centroid; `None` in results of older versions and of killed driver processes."""
     final_surface_m: NonNegative | None = None
-    """NE by the footprint; `None`, too, if the scene records no footprint."""
+    """NE by the footprint; `None` in the same cases, and if the scene records no footprint."""
     geodesic_m: NonNegative | None
-    """Geodesic distance at the start, the l of SPL."""
+    """Geodesic distance at the start, which is l in SPL."""
     spl: Fraction | None
     """SPL; `None` without a path on the floor."""
     soft_spl: Fraction | None

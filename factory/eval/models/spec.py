@@ -57,12 +57,12 @@ class EvalSpec(EpisodeSpec):
     spawn_pose: tuple[float, float, float]
     """Pose of base_link before the warm-up steps: x, y in metres, yaw in radians."""
     spawn_source: Literal["job", "frame", "drawn"]
-    """`job`: drawn as in the data collection, bit for bit; `frame`: frame 0 of the episode, because another version of
-    the software recorded it; `drawn`: drawn for this set."""
+    """`job`: exactly the pose drawn in the data collection; `frame`: pose at frame 0 of the episode, because another
+    version of the software recorded it; `drawn`: new pose, drawn for this set."""
     spawn_dist_m: NonNegative
     """Planar distance from the start pose to the target by the success measure, metres."""
     geodesic_m: NonNegative | None
-    """Geodesic distance to the success region, metres, the l of SPL; `None` without a path."""
+    """Geodesic distance to the success region, metres, which is l in SPL; `None` without a path."""
     categories_in_view: tuple[Name, ...]
     """Categories with an object in view at the start, sorted by name."""
     is_target_in_view: bool
@@ -117,7 +117,7 @@ class SpecSet(Model):
         return hashlib.sha256(text.encode()).hexdigest()
 
     def only(self, splits: frozenset[Split] | None = None, episodes: int | None = None) -> SpecSet:
-        """Returns a part of the set: some splits, and at most `episodes` episodes, spread evenly over the list.
+        """Returns the specs of some splits, and at most `episodes` of them, spread evenly over the list.
 
         Raises:
             UsageError: No spec matches.

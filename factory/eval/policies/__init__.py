@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 PolicyFactory = Callable[[str, PolicyLimits], Policy]
-"""Function of the text after the first colon of the policy name and the time limits; returns the policy."""
+"""Creates a policy from the text after the first colon of its name and the time limits."""
 _WIRE = ("websockets", "msgpack")
 
 
@@ -183,8 +183,8 @@ def require_inputs(name: str, policy: Policy, rig: Rig | None, camera: CameraCon
             "omit --rig, or use --rig paper" if {"rgb", "depth"} & {*missing} else "give --rig RIG with that sensor"
         )
         raise UsageError(
-            f"policy {name} needs {', '.join(missing)}, which {what} does not have; its inputs: {', '.join(given)}: "
-            f"{remedy}"
+            f"policy {name} needs {', '.join(missing)}, which {what} does not provide; available inputs: "
+            f"{', '.join(given)}: {remedy}"
         )
 
 

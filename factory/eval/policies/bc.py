@@ -21,8 +21,8 @@ from schemas.errors import UsageError
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS
 
 STOPS_REQUIRED = 2
-"""Consecutive stop predictions after which the robot stops. It continues to drive until then: after a single wrong
-prediction, a stopped robot would see the same view again and never move."""
+"""Consecutive stop predictions after which the robot stops. A robot that stopped after a single wrong prediction would
+see the same view again and never move."""
 _STOP_CELL = 3
 
 
@@ -43,7 +43,8 @@ def bc_file(name: str) -> Path:
 class BcPolicy:
     """Behaviour cloning policy, trained by `factory train bc`.
 
-    Each call of `act` returns a chunk of as many steps as an action was held for in training, at the same control rate.
+    Each call of `act` returns one action, repeated for the number of steps for which actions were held in training. The
+    control rate must be that of the training.
 
     Args:
         name: Training folder, or its `policy.pt`.
@@ -66,7 +67,7 @@ class BcPolicy:
         except (KeyError, RuntimeError, AttributeError) as error:
             first = (str(error).splitlines() or ["no reason given"])[0]
             raise UsageError(
-                f"the weights of {name} do not match the model that it describes ({first}): train it again"
+                f"the weights in {name} do not fit the network that its metadata describes ({first}): train it again"
             ) from error
         self._network.eval()
         self._scale = np.array((self.meta.max_speed_mps, self.meta.max_yaw_rate_rps), np.float32)
@@ -80,8 +81,8 @@ class BcPolicy:
         mine, found = (self.meta.control_hz, self.meta.fov_deg), (info.control_hz, info.fov_deg)
         if mine != found:
             raise UsageError(
-                f"the policy was trained at {mine[0]} Hz with a camera of {mine[1]:g} degrees, but the episodes have "
-                f"{found[0]} Hz and {found[1]:g} degrees: train on episodes with the same rate and camera"
+                f"the policy was trained at {mine[0]} Hz with a field of view of {mine[1]:g} degrees, but the episodes "
+                f"have {found[0]} Hz and {found[1]:g} degrees: train on episodes with the same rate and camera"
             )
         words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
         self._words = self._torch.from_numpy(words[None])

@@ -22,8 +22,8 @@ from workers.experts import make_expert
 from workers.geometry.slew import Twist
 
 _HELD_S = 0.5
-"""Duration for which a random twist is held, seconds; with a new twist at every step, the slew limit would average
-them out."""
+"""Duration for which a random twist is held, seconds. If the twist changed at every step, the slew limit would keep
+the robot near the mean twist."""
 
 
 class StopPolicy(BlindPolicy):
@@ -79,7 +79,7 @@ class ReplayPolicy(_Recorded):
 
 
 class PlaybackPolicy(_Recorded):
-    """Policy that executes the recorded actions of another episode: the success rate without observations, about 0."""
+    """Policy that executes the recorded actions of another episode: a baseline with a success rate of about 0."""
 
     knows = "another episode's recorded actions"
 

@@ -60,7 +60,7 @@ def _working_directory_first() -> Iterator[None]:
 
 
 def require_module(name: str) -> None:
-    """Raises an error unless the module of `package.module:Class`, or its top-level package, is found; imports nothing.
+    """Raises an error unless the top-level package of `package.module:Class` is found; imports nothing.
 
     Raises:
         UsageError: The module was not found; the message lists the searched locations.

@@ -79,7 +79,7 @@ class DriverProcess:
         self._process.send(to_line(order))
 
     def poll(self, timeout_s: float) -> EvalReport | DriverEnded | None:
-        """Returns the report of the current order, the end of the process, or `None` after a timeout or progress."""
+        """Returns the outcome of the current order, the end of the process, or `None` if there is no outcome yet."""
         if self._process is None:
             return None
         try:
@@ -133,7 +133,7 @@ class DriverProcess:
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         who = "the policy did not respond" if is_policy else "the simulation made no progress"
-        return DriverEnded(PolicyFault.HUNG if is_policy else None, f"{who} within {limit_s:g} s, killed{words}", state)
+        return DriverEnded(PolicyFault.HUNG if is_policy else None, f"{who} for {limit_s:g} s, killed{words}", state)
 
     @property
     def _is_remote(self) -> bool:
@@ -144,7 +144,7 @@ class DriverProcess:
         state, how = self._status.read(), describe_exit(process.wait()) + _last_output(process)
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
-        whom = "the process died in the policy" if is_policy else "the driving process died"
+        whom = "the driver process died while the policy ran" if is_policy else "the driver process died"
         return DriverEnded(PolicyFault.DIED if is_policy else None, f"{whom}: {how}", state)
 
 

@@ -69,7 +69,7 @@ class SharedStatus:
         self._memory[:] = body + _CHECK.pack(zlib.crc32(body))
 
     def read(self) -> DriverStatus:
-        """Returns the status, or the last one read if the writer stopped during a write."""
+        """Returns the status, or the previously read status if the writer stopped during a write."""
         for _ in range(_TRIES):
             data = self._memory[:]
             body, check = data[: _LAYOUT.size], data[_LAYOUT.size :]
@@ -94,9 +94,9 @@ class StatusWriter:
         self._last: tuple[float, float] | None = None
         self._calls = 0
         self.is_warm = False
-        """Whether the policy has given an answer; the first one may take long."""
+        """Whether the policy has returned an action; until then, the longer `load_timeout_s` applies."""
         self.is_privileged = False
-        """Whether the policy renders and plans itself; its time counts as the simulation's."""
+        """Whether the policy is privileged; its calls plan paths and have the time limit of the simulation."""
 
     def note(self, busy: Activity) -> None:
         """Writes the current activity."""
@@ -128,5 +128,5 @@ class StatusWriter:
 
     def after_call(self) -> None:
         """Writes the activity after a policy call."""
-        self.is_warm = self.is_warm or self._calls > 1  # the first one is the reset
+        self.is_warm = self.is_warm or self._calls > 1  # the first call is the reset
         self.note(Activity.SIMULATING)

@@ -27,7 +27,7 @@ from workers.process.messages import SimulationOrder, failure
 from workers.process.pipes import listen, take_stdout
 
 _POLL_S, _TELL_S = 0.1, 1.0
-_NO_IMPORTS = "this worker imports no classes; start it with --import-policies where its coordinator is trusted"
+_NO_IMPORTS = "this worker imports no policy classes; if its coordinator is trusted, start it with --import-policies"
 
 
 def main() -> int:
@@ -44,7 +44,7 @@ def main() -> int:
     try:
         worker_process.tell(
             worker.SimulationReport(
-                kind=worker.SimulationReportKind.READY, renderer=f"{renderer}, with the first episode"
+                kind=worker.SimulationReportKind.READY, renderer=f"{renderer}, opened with the first episode"
             )
         )
         while True:

@@ -1,6 +1,6 @@
-"""A campaign on many machines: its tasks as the jobs of a run, with the ledger, leases and workers of collection.
+"""Runs a campaign on many machines: its tasks are the jobs of a run with ledger, leases and workers.
 
-Every result is archived once, then added once to the results. An interrupted campaign can be resumed. Runs no episodes.
+Every result is archived once, then stored once. An interrupted campaign can be resumed. Runs no episodes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from schemas.protocol.messages import EvalPayload
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
-"""Settings of the coordinator. Results are small; a policy can take its time limit for each of thousands of actions."""
+"""Small disk reserve, because results are small. Long leases, because each action may take the policy's time limit."""
 _POLL_S = 0.5
 _NAMED = 5
 
@@ -140,7 +140,7 @@ def _require_coordinator(access: FleetAccess) -> None:
 
 
 def _try_failed_again(root: Path) -> None:
-    """Returns tasks that failed in an earlier start to the queue, as the error message of that start promises."""
+    """Returns failed tasks to the queue: the error message about them asks the user to run the command again."""
     if ledger_trouble(ledger_url_of(root)):
         return  # missing, or damaged and rebuilt when the coordinator starts
     engine = open_writer(ledger_url_of(root))
@@ -158,7 +158,7 @@ def _require_whole(root: Path, store: Store) -> None:
     if failed:
         reasons = "\n".join(f"  - {job.episode.target_id} in {job.episode.scene}: {job.reason}" for job in failed)
         raise WorldError(
-            f"some episodes could not be run; the others are in {store.root}. Correct the cause and run "
+            f"some episodes could not be run; the results of the others are in {store.root}. Correct the cause and run "
             f"the same command again:\n{reasons}"
         )
 

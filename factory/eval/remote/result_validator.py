@@ -1,6 +1,6 @@
 """Validates evaluation results from workers before they are archived. Limits sizes; opens one file at a time.
 
-Compares a result with the request, with itself and with the limits of the robot; does not repeat the simulation.
+Checks that a result matches its request, is consistent, and respects the limits of the robot; does not simulate.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from schemas.terms import Split
 _CLOCKS = {"act_ms", "seconds"}
 """Fields that are not reproducible."""
 _TRACK_SLACK_M = 0.003
-"""Poses of a track are rounded to 1 mm."""
+"""Tolerance of positions in a track, metres; they are rounded to 1 mm."""
 _SPAWN_SLACK_M, _SPAWN_SLACK_RAD = 0.1, 0.2
-"""Displacement during the warm-up steps, in which the robot settles."""
+"""Maximum displacement and rotation during the warm-up steps, in which the robot settles."""
 _SPEED_SLACK, _PUSH_M = 1.5, 0.05
-"""A sliding robot can be faster than commanded, and contacts with obstacles can displace it."""
+"""Tolerances: factor on the maximum speed, because a robot can slide, and displacement by contacts, metres."""
 
 
 class EvalReceipt(Model):
@@ -86,7 +86,7 @@ class ResultValidator:
         task = self._tasks[job.index]
         findings = result_findings(driven.result, task, candidates[0]) if candidates else []
         if driven.note.policy != task.policy:
-            findings.append(f"note of policy {driven.note.policy!r}, asked {task.policy!r}")
+            findings.append(f"note of policy {driven.note.policy!r}, expected {task.policy!r}")
         if findings:
             raise InvalidBundle("the result is not valid", findings)
         return EvalReceipt(
@@ -130,7 +130,7 @@ def result_findings(result: EpisodeResult, task: EvalTask, target: Target) -> li
 def _of_the_end(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
     task = settings.task
     if result.success != (result.end == "success"):
-        yield f"success is {result.success}, and the end {result.end}"
+        yield f"success is {result.success}, but the end is {result.end}"
     if result.success and not result.any_instance:
         yield "success is true, but any_instance is false"
     if result.num_steps > task.max_steps:
@@ -139,9 +139,9 @@ def _of_the_end(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
         yield f"timeout after {result.num_steps} of {task.max_steps} steps"
     has_goal = result.split is not Split.TEST_FALSE_PREMISE
     if result.success and has_goal and result.final_ne_m > task.success_radius_m:
-        yield f"success {result.final_ne_m:.3f} m from the target, the radius is {task.success_radius_m:g} m"
+        yield f"success {result.final_ne_m:.3f} m from the target, but the radius is {task.success_radius_m:g} m"
     if result.contact_steps > result.num_steps:
-        yield f"{result.contact_steps} steps with contact of {result.num_steps}"
+        yield f"{result.contact_steps} steps with contact, but only {result.num_steps} steps"
 
 
 def _of_the_measures(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
@@ -152,7 +152,7 @@ def _of_the_measures(result: EpisodeResult, settings: EvalSettings) -> Iterator[
         wanted["spl"] = None if way is None else measure.spl(result.success, way, result.trajectory_length_m)
     for name, value in wanted.items():
         if getattr(result, name) != value:
-            yield f"{name} is {getattr(result, name)}, and {value} by the other measures"
+            yield f"{name} is {getattr(result, name)}, but the other measures give {value}"
     if not result.min_ne_m <= min(result.spawn_dist_m, result.final_ne_m):
         yield f"closest point {result.min_ne_m:.3f} m away, farther than start or end"
 
@@ -168,19 +168,19 @@ def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iter
     if math.dist(track[0][:2], (x, y)) > _SPAWN_SLACK_M or (
         abs(math.remainder(track[0][2] - yaw, 2 * math.pi)) > _SPAWN_SLACK_RAD
     ):
-        yield f"the track starts at {track[0]}, the episode at ({x:.3f}, {y:.3f}, {yaw:.3f})"
+        yield f"the track starts at {track[0]}, but the episode at ({x:.3f}, {y:.3f}, {yaw:.3f})"
     if len(track) == 1 and result.end.is_of_the_policy:
         return  # the driver process was killed, so its poses are not available
     frames = {result.num_steps, result.num_steps + 1}
     if len(track) not in {math.ceil((count - 1) / every) + 1 for count in frames}:
-        yield f"{len(track)} poses in the track of {result.num_steps} steps, one every {every}"
+        yield f"the track has {len(track)} poses for {result.num_steps} steps; it must have one every {every} steps"
         return
     gaps = [math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(track)]
     most_m = _SPEED_SLACK * settings.robot.max_speed_mps * every / hz + _PUSH_M
     if max(gaps, default=0.0) > most_m:
-        yield f"{max(gaps):.3f} m between two poses of the track, at most {most_m:.3f} m is possible"
+        yield f"{max(gaps):.3f} m between two poses of the track, but at most {most_m:.3f} m is possible"
     if sum(gaps) > result.trajectory_length_m + len(track) * _TRACK_SLACK_M:
-        yield f"driven {result.trajectory_length_m:.3f} m, the track alone is {sum(gaps):.3f} m long"
+        yield f"the trajectory length is {result.trajectory_length_m:.3f} m, but the track is {sum(gaps):.3f} m long"
     first, last = track[0][:2], track[-1][:2]
     goal = Goal.of(target, settings.task)
     distances: dict[str, float | None] = {
@@ -194,4 +194,4 @@ def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iter
         if said is not None and seen is None:
             yield f"{name} is {said:.3f} m, but the scene records no footprint"
         elif said is not None and seen is not None and abs(said - seen) > _TRACK_SLACK_M:
-            yield f"{name} is {said:.3f} m, by the track {seen:.3f} m"
+            yield f"{name} is {said:.3f} m, but the track gives {seen:.3f} m"

@@ -1,4 +1,4 @@
-"""A campaign as a run of evaluation tasks: its plan, scenes and jobs. Reads the dataset, writes nothing."""
+"""Describes a campaign as a run of evaluation tasks: plan, scenes and jobs. Reads the dataset, writes nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from schemas.protocol.messages import MAX_ATTACHMENT_BYTES, Attachment
 Attached = Mapping[str, tuple[Attachment, Path]]
 """Policy name -> attachment and path of its file."""
 _BUDGET = Budget(attempts_per_draw=1, draws=1)
-"""One attempt: an episode without success has a result, too, so workers report no failures of the task."""
+"""One attempt, because an episode without success is a result, too, and is not repeated."""
 
 
 def number_tasks(campaign: Campaign) -> Mapping[int, EvalTask]:

@@ -51,7 +51,7 @@ def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], var
     common = [key for key in ones if key in others]
     if not common:
         raise UsageError(
-            f"the two runs have no {variant} episode in common (they have {len(ones)} and {len(others)}); "
+            f"the two runs have no {variant} episode in common (they have {len(ones)} and {len(others)} episodes); "
             "evaluate both with the same --specs"
         )
     pairs = [(ones[key], others[key]) for key in common]

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
-import scipy  # loads `scipy.stats`, a second, at its first use
+import scipy  # imports `scipy.stats` at its first use, which takes a second
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -68,7 +68,7 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
 
 
 def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
-    """Returns the estimate of equal values, whose interval is a point, of a single value, or of none."""
+    """Returns the estimate of equal values, whose interval is a point; a single value has no interval."""
     if len(values) == 0:
         return NO_VALUES
     mean = float(values[0])

@@ -1,4 +1,4 @@
-"""Summarises the failures of a policy as a program: number, kind and first message. Pure functions."""
+"""Summarises policy failures, such as exceptions and timeouts: number, kind and first message. Pure functions."""
 
 from __future__ import annotations
 

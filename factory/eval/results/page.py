@@ -48,7 +48,7 @@ class FailureExample:
 
 @dataclass(frozen=True)
 class MeasureCell:
-    """Table cell: a value, its interval and, for a rate, both in per cent for the bar."""
+    """Table cell: a value, its interval and, for a rate, the position of both in the bar."""
 
     value: str
     interval: str = ""
@@ -169,7 +169,7 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
         )
     if groups:
         names = ", ".join(policies_without_instruction(policies))
-        note = f"Difference 0 by construction, as these policies do not use the instruction: {names}." if names else ""
+        note = f"Difference 0 by construction for policies that do not use the instruction: {names}." if names else ""
         yield MeasureTable("words", "Instruction ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
 
 

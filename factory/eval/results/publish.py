@@ -117,7 +117,7 @@ def _remarks(campaign: Campaign) -> list[str]:
     if moved:
         remarks.append(
             f"{moved} of {len(specs)} episodes start at frame 0 of their archived episode, because another version of "
-            "the software collected them; replay need not succeed there"
+            "the software collected them; `replay` can fail in them"
         )
     if ways:
         remarks.append(f"{ways} of {len(specs)} episodes have no path on the floor and are excluded from SPL")

@@ -49,7 +49,7 @@ MEANS: Mapping[str, str] = MappingProxyType(
         "num_steps": "num_steps",
     }
 )
-"""Field of `Score` -> field of `EpisodeResult` that it is the mean of."""
+"""Field of `Score` -> field of `EpisodeResult` whose mean it is."""
 ALL = "all"
 GROUNDED = "two or more categories in view"
 
@@ -147,7 +147,7 @@ class Evaluation(Model):
 
 
 def _pattern_group(template_id: str) -> str:
-    """Returns a template of the paper, or language and register of a sentence pattern: `en_polite`."""
+    """Returns the group of a template: itself if the paper has it, else language and register, such as `en_polite`."""
     return template_id if template_id in TEMPLATES else template_id.rpartition("_")[0] or template_id
 
 
@@ -161,7 +161,7 @@ _KEYS: Mapping[str, tuple[Callable[[EpisodeResult], str], Sequence[str]]] = Mapp
         "view": (lambda row: GROUNDED if row.is_grounded else "fewer", (GROUNDED, "fewer")),
     }
 )
-"""Kind of group -> function that returns the group of a row, and the order of the groups; others follow sorted."""
+"""Kind of group -> function that returns the group of a row, and the groups that come first, in this order."""
 
 
 def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote) -> PolicyScores:

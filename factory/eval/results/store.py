@@ -120,7 +120,7 @@ class Store(Closing):
             self._begin(manifest)
 
     def _has_results(self) -> bool:
-        """Returns whether any episode was run here or by remote workers."""
+        """Returns whether any episode was run, on this machine or by remote workers."""
         others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES}
         return bool(others) or any((self.root / _POLICIES).glob(f"*/{_LOG}"))
 

@@ -44,7 +44,7 @@ def instructions(specs: SpecSet, variant: Variant, scenes: Scenes) -> dict[str, 
 
 
 def playback_sources(specs: SpecSet) -> dict[str, str]:
-    """Returns another archived episode for each spec id, whose actions a playback executes.
+    """Returns for each spec id the id of another archived episode, whose actions the policy `playback` executes.
 
     Raises:
         UsageError: Fewer than two archived episodes are in the set.

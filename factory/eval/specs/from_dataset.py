@@ -29,7 +29,7 @@ from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
 _SAME_PLACE_M = 0.005
-"""Maximum distance of a redrawn pose to the recorded one to count as equal, metres; the warm-up moves the robot."""
+"""Maximum distance at which a redrawn pose equals the recorded pose, metres; the warm-up moves the robot a little."""
 _SAME_HEADING_RAD = 0.01
 
 ProgressCallback = Callable[[int, int], None]
@@ -88,7 +88,7 @@ def specs_of_dataset(
     source = f"episodes of {dataset.meta.run}, splits {', '.join(str(split) for split in splits)}"
     places = Places(dataset.root)
     specs: dict[str, EvalSpec] = {}
-    # processed by scene and target, to reuse derived data; the set has the order of the plan
+    # process by scene and target, to reuse derived data; the returned specs have the order of the plan
     order = sorted(
         (part[name] for name in chosen), key=lambda episode: (episode.summary.scene, episode.summary.target_id)
     )
@@ -154,7 +154,7 @@ def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, fl
         is_here = math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
         return is_here and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
 
-    accepts = is_recorded if meta.job.start_view else (lambda _pose: True)  # instead of rendering every view again
+    accepts = is_recorded if meta.job.start_view else (lambda _pose: True)  # without rendering each view
     draws = draw_poses(meta.job, target, place, meta.job.rng(), accepts)
     found = next(filter(is_recorded, draws), None)
     return None if found is None else (found.x, found.y, found.yaw)

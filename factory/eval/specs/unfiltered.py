@@ -1,7 +1,7 @@
 """Creates specs with unfiltered start poses in the scenes of a dataset, whether or not an expert can reach the target.
 
 Archived episodes contain only starts that their tier allows and from which the expert succeeded; these specs do not
-have this selection. The conditions of an instruction on the start view hold here, too. Renders the first view of
+have this selection. The start view must still meet the conditions of the instruction. Renders the first view of
 each start; runs no policies.
 """
 
@@ -87,7 +87,7 @@ def unfiltered_specs(
 
 
 def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Plan:
-    """Returns the plan with these splits only, which draws from all reachable targets, not only those of the expert."""
+    """Returns the plan with these splits only; it draws all reachable targets, not only those of the expert."""
     scenes = []
     for scene in plan.parts:
         is_unseen = isinstance(scene, LayoutPlan) and scene.is_unseen
@@ -135,7 +135,7 @@ def _spec(
             if aim is None:
                 continue
             drawn, target, said = _described(aim.job, pose), aim.target, aim.said
-            if aim.choices:  # the distance to the drawn target differs
+            if aim.choices:  # measure the distance to the drawn target
                 view = simulator.reset(drawn, place)
             if said is not None:
                 drawn = drawn.model_copy(update={"instruction": said.text, "template_id": said.template_id})
@@ -175,8 +175,10 @@ def _described(job: Job, pose: Start) -> EvalSpec:
 
 
 def _draw_poses(job: Job, place: LoadedScene, stage: SceneRenderer) -> Iterator[Start]:
-    """Yields free poses on the connected floor whose view meets the conditions of the instruction, at most as many as
-    an attempt tests in physics."""
+    """Yields free poses on the connected floor whose view meets the conditions of the instruction.
+
+    Yields at most `physics_draws` poses, as many as an attempt of data collection tests in physics.
+    """
     stage.renderer.load(place.scene, job.camera)
     rng = np.random.default_rng(np.random.SeedSequence((job.root_seed, _DRAW_STREAM, job.index, job.draw)))
     target = start_target(job, place.scene.info)

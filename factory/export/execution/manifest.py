@@ -20,10 +20,10 @@ MANIFEST_FILE = "export.json"
 
 
 class Source(Model):
-    """Source of an export, equal for both recordings. Exports with equal source, format and options are equal."""
+    """Source of an export, equal for both kinds of recording. Exports of equal source, format and options are equal."""
 
     run: str
-    """Name of the run that records frames."""
+    """Name of the run; for a states recording, the name that a frames recording of the same plan has."""
     dataset_digest: Sha256
     """SHA-256 over the rows of all episodes of the dataset, see `factory.export.source.rows_digest`."""
     selection_digest: Sha256

@@ -68,5 +68,5 @@ def _require_as_listed(episode: Episode) -> None:
     """Validates that the content of a file matches its row of the metadata."""
     meta, row = episode.meta, episode.summary
     if (meta.episode_id, meta.content_digest) != (row.episode_id, row.content_digest):
-        found = f"{meta.episode_id} with content digest {meta.content_digest}, the metadata has {row.content_digest}"
-        raise ArchiveCorrupt(f"{episode.path} holds {found}: run `factory verify --deep`")
+        found = f"{meta.episode_id} with content digest {meta.content_digest}, but the table has {row.content_digest}"
+        raise ArchiveCorrupt(f"{episode.path} contains {found}: run `factory verify --deep`")

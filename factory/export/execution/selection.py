@@ -29,7 +29,7 @@ def parse_episodes(text: str) -> list[str]:
 def select(
     dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str] = (), excluded: Iterable[str] = ()
 ) -> Dataset:
-    """Returns the episodes of the given splits and ids but the excluded ones, in the order of the plan.
+    """Returns the episodes of the given splits and ids, except excluded ids, in the order of the plan.
 
     Args:
         dataset: the dataset.

@@ -1,7 +1,7 @@
 """Computes the numeric columns of LeRobot from an episode: state, action, tokens, pose, time. Pure functions.
 
-With a stride of n, an action is the mean of the n commands from its frame to the next exported frame; applied for one
-step of the lower rate, it covers the same distance and angle. Tokens are the grid points nearest to the mean.
+With a stride of n, an action is the mean of the n commands from its frame to the next exported frame; executed for
+one step of the lower rate, it covers the same distance and angle. Tokens are the grid points nearest to the mean.
 State and pose are those of the frame itself.
 """
 
@@ -26,8 +26,8 @@ class FrameColumns:
     """Columns with one row per exported frame."""
 
     state: NDArray[np.float32]
-    """(N, 5) wheel odometry: x, y and yaw in the frame of the first pose (x forward, y left, yaw unwrapped), and the
-    measured twist over the recorded step before the frame, 0 at the first."""
+    """(N, 5) wheel odometry: x, y and yaw in the frame of the first pose (x forward, y left, yaw unwrapped), then v
+    and w as measured over the recorded step before the frame, 0 in the first frame."""
     action: NDArray[np.float32]
     """(N, 2) commanded v (m/s) and w (rad/s); mean of the commands until the next exported frame."""
     tokens: NDArray[np.int64]

@@ -103,8 +103,8 @@ class LeRobotExport:
     has_routes: bool
     """Whether the source has sub-instructions."""
     asked_about: str | None
-    """Image feature that the questions of the source are about; `None` if it has none, or the images of a rig are
-    exported."""
+    """Image feature that the questions of the source are about; `None` if the source has no questions, or if the images
+    of a rig are exported."""
 
     def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
@@ -120,8 +120,8 @@ class LeRobotExport:
 
         Args:
             version: version of the format.
-            features: further features.
-            values: further values.
+            features: additional features.
+            values: additional values.
         """
         known = {
             "total_episodes": len(self.numbering),

@@ -1,7 +1,7 @@
 """Language columns of LeRobot 0.6: `language_persistent` with sub-instructions, `language_events` with questions.
 
 Every frame has all `subtask` rows of its episode; a row is active from its `timestamp` until that of the next one. The
-`vqa` rows of a question are at one frame. Opens no file.
+`vqa` rows of a question are in one frame only. Opens no file.
 """
 
 from __future__ import annotations
@@ -45,18 +45,19 @@ def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int, frames: 
 
 
 def with_subtasks(table: pa.Table, rows: Sequence[dict[str, Any]]) -> pa.Table:
-    """Returns the frames of an episode with the column of its rows."""
+    """Returns the table of frames with the column of sub-instructions; all frames have the same rows."""
     return table.append_column(pa.field(COLUMN, TYPE), pa.array([list(rows)] * len(table), TYPE))
 
 
 def question_rows(questions: Sequence[Question], camera: str, stride: int, frames: int) -> list[list[dict[str, Any]]]:
-    """Returns for each exported frame the rows of the questions that are asked there.
+    """Returns the rows of each exported frame: the questions that are asked at this frame, and their answers.
 
-    A question is asked at the first exported frame for which its answer was computed; others are omitted.
+    A question is asked at the first exported frame for which its answer was computed; questions without such a
+    frame are omitted.
 
     Args:
         questions: questions about the episode.
-        camera: feature of the images that they are about.
+        camera: image feature that the questions are about.
         stride: stride of the exported frames.
         frames: number of exported frames.
     """
@@ -75,5 +76,5 @@ def question_rows(questions: Sequence[Question], camera: str, stride: int, frame
 
 
 def with_questions(table: pa.Table, rows: Sequence[Sequence[dict[str, Any]]]) -> pa.Table:
-    """Returns the frames of an episode with the column of their questions."""
+    """Returns the table of frames with the column of questions; `rows` has one entry for each frame."""
     return table.append_column(pa.field(EVENTS, EVENTS_TYPE), pa.array(list(map(list, rows)), EVENTS_TYPE))

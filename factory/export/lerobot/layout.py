@@ -64,7 +64,7 @@ class Column(NamedTuple):
 
     @property
     def is_scan(self) -> bool:
-        """Whether a value is a scan, whose statistics are those of all of its ranges together."""
+        """Whether a value is a scan. The statistics of a scan are computed over all of its ranges together."""
         return isinstance(self.sensor, Lidar2d | Lidar3d)
 
 
@@ -163,7 +163,7 @@ def _columns_of(rig: Rig) -> Iterator[tuple[str, Column]]:
 def _require_different(keys: list[str]) -> None:
     twice = [key for key, count in Counter(keys).items() if count > 1]
     if twice:
-        raise UsageError(f"two sensors would be the feature {twice[0]!r}: rename a sensor of the rig")
+        raise UsageError(f"two sensors have the same feature {twice[0]!r}: rename a sensor of the rig")
 
 
 def _require_even(layout: Layout) -> None:

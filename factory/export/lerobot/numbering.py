@@ -57,7 +57,7 @@ class Numbered:
     frames: int
 
     def numbers(self) -> dict[str, NDArray[np.int64]]:
-        """Returns the index columns of its frames."""
+        """Returns the index columns of the frames of this piece."""
         return {
             "episode_index": np.full(self.frames, self.episode_index, np.int64),
             "index": np.arange(self.first, self.first + self.frames, dtype=np.int64),

@@ -1,6 +1,6 @@
 """Converts the measurements of a rig to messages of Foxglove. Pure functions. Does not encode messages.
 
-Foxglove has no message of an IMU; `minivla.Imu` has its values.
+Foxglove has no message type for an IMU; `minivla.Imu` is used for its values.
 """
 
 from __future__ import annotations

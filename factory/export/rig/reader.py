@@ -34,7 +34,7 @@ class SensorReader:
     def __init__(self, episode: Episode) -> None:
         self.motion: dict[str, Motion] = episode.motion()
         """Measurements of IMUs and odometry over the whole episode, by name."""
-        assert episode.rig is not None, "the episode has no rig, which `motion` should have reported"
+        assert episode.rig is not None, "`Episode.motion` returned for an episode without a rig"
         self.rig: Rig = episode.rig
         self.hz: int = episode.meta.job.task.control_hz
         """Control rate, steps per second."""

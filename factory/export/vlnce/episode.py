@@ -33,7 +33,7 @@ class EpisodeText(NamedTuple):
     """Instruction of an episode."""
 
     instruction: str
-    """Text, perhaps of a relabelled dataset."""
+    """Text; in a relabelled dataset, the new instruction."""
     template_id: str
     """Sentence pattern of the text."""
     steps: tuple[SubInstruction, ...] = ()
@@ -157,5 +157,5 @@ def vlnce_episode(
 
 
 def _sub_instruction(each: SubInstruction) -> dict[str, Any]:
-    """Returns a sub-instruction with its span of `locations` of the file of paths."""
+    """Returns a sub-instruction with its span of `locations` in the file of paths."""
     return {"text": each.text, "start": each.start, "end": each.end}

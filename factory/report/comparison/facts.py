@@ -1,7 +1,7 @@
 """Computes means that explain the trajectory lengths of a group: start distance, detour and speed. Pure functions.
 
-The detour of an episode is its trajectory length minus the straight line from its start to its end, which is at
-distance NE from the target.
+The detour of an episode is its trajectory length minus the distance by which the robot approached the target: its
+start distance minus its navigation error (NE).
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ class PaperComparison(Model):
     published_high: float | None = None
     """Upper bound, if the paper gives a range."""
     interval: Interval | None = None
-    """95 % interval of the number of the dataset; `None` for numbers without one and for too few episodes."""
+    """95 % interval of `ours`; `None` for numbers without an interval, and for too few episodes."""
     target: Interval | None = None
     """Smallest and largest number that agree with the paper."""
     verdict: Verdict | None = None
@@ -37,7 +37,7 @@ class PaperComparison(Model):
 
     @property
     def difference(self) -> float | None:
-        """Number of the dataset minus that of the paper (nearer bound of a range; 0 within it)."""
+        """`ours` minus `published`; for a published range, minus its nearer bound, or 0 if `ours` is in the range."""
         if self.ours is None:
             return None
         high = self.published if self.published_high is None else self.published_high
@@ -52,7 +52,7 @@ class PaperComparison(Model):
 
 
 def verdict_of(interval: Interval | None, target: Interval | None) -> Verdict | None:
-    """Returns the position of an interval relative to a target, or `None` without one of them."""
+    """Returns the position of an interval relative to a target, or `None` if either is missing."""
     if interval is None or target is None:
         return None
     if interval[1] < target[0] or target[1] < interval[0]:

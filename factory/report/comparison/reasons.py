@@ -14,12 +14,12 @@ from schemas.terms import ExpertName, Screening, Split, Tier
 
 
 def explain_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
-    """Explains TL: its mean is spawn distance - NE + detour. The spawn distance of the paper is TL + NE."""
+    """Explains the mean TL as start distance - NE + detour; uses TL + NE for the paper, which has no start distance."""
     implied = published_tl_m + published_ne_m
     return (
-        f"Starts are {facts.spawn_m:.2f} m from the target on average, in the paper {implied:.2f} m (its TL + NE, if "
-        f"driven straight): {_signed(facts.spawn_m - implied)} m. The trajectory is {abs(facts.detour_m):.2f} m "
-        f"{'longer' if facts.detour_m >= 0 else 'shorter'} than the straight line."
+        f"The mean start distance is {facts.spawn_m:.2f} m, and {implied:.2f} m in the paper (TL + NE, which assumes "
+        f"straight trajectories); the difference is {_signed(facts.spawn_m - implied)} m. The mean trajectory is "
+        f"{abs(facts.detour_m):.2f} m {'longer' if facts.detour_m >= 0 else 'shorter'} than the straight line."
     )
 
 
@@ -41,14 +41,14 @@ def explain_standardised(statistics: Statistics) -> str:
 
 
 def explain_steps(facts: RunFacts, said: Published) -> str:
-    """Explains the number of steps by length and speed."""
+    """Explains the mean number of steps by the mean trajectory length and the steps per metre."""
     here = facts.steps_per_m
-    text = f"{facts.tl_m:.2f} m at {here:.1f} steps per metre" if here else f"{facts.tl_m:.2f} m here"
+    text = f"Mean TL {facts.tl_m:.2f} m" + (f" at {here:.1f} steps per metre" if here else "")
     if said.tl_mean_m is None:
         return f"{text}."
     if said.steps_mean is None:
-        return f"{text}; TL {said.tl_mean_m:.2f} m in the paper."
-    return f"{text}, {said.tl_mean_m:.2f} m at {said.steps_mean / said.tl_mean_m:.1f} in the paper."
+        return f"{text}; in the paper {said.tl_mean_m:.2f} m."
+    return f"{text}; in the paper {said.tl_mean_m:.2f} m at {said.steps_mean / said.tl_mean_m:.1f} steps per metre."
 
 
 def explain_floor(material: ReportInput, scene: str) -> str:
@@ -70,8 +70,8 @@ def explain_error(statistics: Statistics) -> str:
     worst = max(rows, key=lambda row: abs((row.mean or 0.0) - published))
     lowest, highest = worst.quantiles.get("p00", 0.0), worst.quantiles.get("p100", 0.0)
     text = (
-        f"The largest difference is in {_scene(worst.group)}: mean {worst.mean:.3f} m, {lowest:.3f} to {highest:.3f} m "
-        f"(N {worst.n})"
+        f"The largest difference is in {_scene(worst.group)}: mean {worst.mean:.3f} m, "
+        f"range {lowest:.3f} to {highest:.3f} m (N {worst.n})"
     )
     if statistics.success_radius_m != 1:
         text += f"; the success radius is {statistics.success_radius_m:g} m"
@@ -79,7 +79,7 @@ def explain_error(statistics: Statistics) -> str:
 
 
 def explain_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
-    """Explains a share by the plan; with few episodes, the cells cannot meet the planned shares exactly."""
+    """Explains a share by the plan: in a plan with few episodes, the quotas only approximate the planned shares."""
     if not statistics.complete:
         state = f"{statistics.episodes} of {statistics.planned} generated so far"
     else:
@@ -103,12 +103,12 @@ def explain_category_share(material: ReportInput, category: str) -> str:
     homes = {row.scene for row in material.episodes if row.target_category == category}
     if not homes:
         offered = [scene.name for scene in material.meta.plan.scenes if category in sum(scene.categories, ())]
-        where = f"{', '.join(map(_scene, offered))} could have it" if offered else "no scene of the plan has it"
+        where = f"it exists in {', '.join(map(_scene, offered))}" if offered else "no scene of the plan has it"
         return f"None of {len(material.episodes)} episodes has this category; {where}."
     here = sum(row.scene in homes for row in material.episodes) / len(material.episodes)
     counted = [scene.n for name, scene in paper.SCENES.items() if name in homes and scene.n is not None]
     there = sum(counted) / (paper.OVERALL.n or 1)
-    text = f"Scenes with this category have {_percent(here)} of the episodes, {_percent(there)} in the paper"
+    text = f"Scenes with this category contain {_percent(here)} of the episodes, and {_percent(there)} in the paper"
     drawn = "uniformly over instances" if material.meta.plan.balance == "instances" else "by category first"
     return f"{text}; targets are drawn {drawn}."
 
@@ -118,8 +118,8 @@ def explain_correlation(facts: RunFacts | None) -> str:
     if facts is None or facts.spawn_std_m is None or facts.detour_std_m is None:
         return ""
     return (
-        f"Detours spread by {facts.detour_std_m:.2f} m (standard deviation) while start distances spread by "
-        f"{facts.spawn_std_m:.2f} m: the smaller the first is relative to the second, the closer r is to 1."
+        f"The standard deviation is {facts.detour_std_m:.2f} m for detours and {facts.spawn_std_m:.2f} m for start "
+        "distances; r is close to 1 if detours vary much less than start distances."
     )
 
 
@@ -138,8 +138,8 @@ def explain_colours(material: ReportInput) -> str:
     coloured = sum(row.colour != "unknown" for row in material.episodes)
     used = len({row.template_id for row in material.episodes if needs_colour(row.template_id)})
     return (
-        f"Colours come from the materials of the scenes: {coloured} of {len(material.episodes)} targets have one, "
-        f"which allows {used} templates that the paper could not use."
+        f"Colours come from the materials of the scenes: {coloured} of {len(material.episodes)} targets have a colour, "
+        f"so that {used} templates with a colour occur, which the paper could not use."
     )
 
 
@@ -152,8 +152,11 @@ def explain_success(material: ReportInput, row: AttemptRow) -> str:
     if expert is ExpertName.PLANNER:
         return f"{text} The planner avoids obstacles at which the paper's controller stalls."
     if not spawn.needs_free_line:
-        near = ", those of the near and mid tiers in sight of the target" if spawn.screening is Screening.SIGHT else ""
-        return f"{text} Starts are drawn blindly, as in the paper{near}; walls and racks here stop other drives."
+        near = ", but near and mid starts must see the target" if spawn.screening is Screening.SIGHT else ""
+        return (
+            f"{text} Starts are drawn without a check for obstacles, as in the paper{near}; the walls and racks of "
+            "these scenes stop other drives than in the paper."
+        )
     return (
         f"{text} Starts are drawn until the straight line to the success circle is free by "
         f"{spawn.approach_clearance_m:.2f} m (screening {spawn.screening}); the paper draws starts at random and "

@@ -54,7 +54,7 @@ _KINDS = {
 
 
 def compare(material: ReportInput) -> tuple[PaperComparison, ...]:
-    """Returns the comparisons of all numbers that paper and dataset have; empty if comparison is disabled."""
+    """Returns the comparisons of all numbers that both the paper and the dataset have; empty if disabled."""
     if not material.episodes or not material.statistics.beside_paper:
         return ()
     groups = (_lengths, _errors, _steps, _tiers, _tier_shares, _splits, _categories, _fit, _templates, _attempts)
@@ -108,7 +108,7 @@ def _length(material: ReportInput, figure: str, row: RolloutRow, facts: RunFacts
 
 
 def _kind(name: str, row: RolloutRow) -> str:
-    """Returns the kind of a number of a group; the paper has 14 far episodes, whose means are less certain."""
+    """Returns the key of `_KINDS`; far starts have a larger threshold, because the paper has only 14 far episodes."""
     return f"far {name}" if row.group == Tier.FAR else name
 
 
@@ -190,7 +190,7 @@ def _categories(material: ReportInput) -> Iterator[PaperComparison]:
         ours, why = counts.get(name) or share_of(0, total), (reasons.explain_category_share, material, name)
         yield from _category_share(f"share of {say_category(name)}", ours, said.share, said.source, *why)
     ours, why_largest = share_of(sum(row.n for row in rows[:3]), total), (reasons.explain_largest, material.statistics)
-    what = "share of the three most frequent"
+    what = "share of the three most frequent categories"
     yield from _category_share(what, ours, paper.THREE_LARGEST_SHARE, "Sec. VIII", *why_largest)
 
 

@@ -90,7 +90,7 @@ class Panel:
 
     @property
     def png(self) -> bytes:
-        """PNG with the same content; drawn at each access."""
+        """PNG with the same content, drawn again at each access."""
         return self._draw_png()
 
 
@@ -109,7 +109,7 @@ def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: fl
         FigureCanvasAgg(figure)
         paint(figure.add_subplot())
         figure.draw_without_rendering()
-        figure.set_layout_engine(None)  # the layout is computed once; an engine would draw each file twice
+        figure.set_layout_engine(None)  # with an active engine, each file is drawn twice
         return Panel(name, alt, _as_svg(figure), lambda: _as_png(figure, style))
 
 
@@ -146,7 +146,7 @@ def _as_svg(figure: Figure) -> str:
     figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
-    # group ids repeat between panels, but ids of a page must be unique; no element refers to them
+    # remove group ids: they repeat between panels, but ids of a page must be unique; no element refers to them
     text = re.sub(r'<g id="[^"]*"', "<g", text)
     text = _PATH.sub(lambda match: _DECIMALS.sub(_shorten, match.group()), text)
     return text.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif")

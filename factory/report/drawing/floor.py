@@ -24,7 +24,7 @@ def floor_height_in(floor: FloorMap | None) -> float:
 
 
 def draw_floor(axes: Axes, floor: FloorMap | None) -> None:
-    """Draws the map, or empty axes without a map; x to the right, y up, metres."""
+    """Draws the map with x to the right and y up, in metres; draws empty axes if there is no map."""
     axes.set_aspect("equal")
     axes.grid(visible=False)
     axes.set_xlabel("x, m")
@@ -42,7 +42,7 @@ def draw_floor(axes: Axes, floor: FloorMap | None) -> None:
 
 
 def draw_targets(axes: Axes, floor: FloorMap | None, episodes: list[EpisodeSummary]) -> None:
-    """Marks all targets of the scene, and highlights those of the episodes."""
+    """Marks all targets of the scene, and highlights the targets of the episodes."""
     if floor is not None:
         edge = {"facecolor": "none", "edgecolor": colour("muted"), "linewidth": 0.6}
         mark(axes, floor.targets_m, s=9, marker="D", zorder=2, **edge)

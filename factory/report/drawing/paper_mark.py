@@ -1,4 +1,4 @@
-"""Draws the marker of published values, which is equal in all figures."""
+"""Draws the marker of published values, which is the same in all figures."""
 
 from __future__ import annotations
 

@@ -27,11 +27,11 @@ def draw(material: ReportInput) -> Figure:
         return Figure("attempts", title, source, "No attempts to show.")
     uncounted = sum(Counter(everything.reasons).values()) - (everything.attempts - everything.success.count)
     beside = material.statistics.beside_paper
-    marks = ", and the range in the paper as a pink band" if beside else ""
+    marks = "; pink band: range in the paper" if beside else ""
     caption = (
         f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. First drawing: "
-        "attempts by scene and outcome. Second drawing: the success rate with its 95 % Wilson interval, first attempts "
-        f"from near and mid starts as hollow dots{marks}. "
+        "attempts by scene and outcome. Second drawing: success rate with its 95 % Wilson interval; hollow dots: "
+        f"success rate of first attempts from near and mid starts{marks}. "
         f"Attempts that ended with a crash or a lost lease are not counted ({uncounted})."
     )
     height = 1.3 + 0.42 * len(by_scene)

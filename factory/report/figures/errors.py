@@ -34,7 +34,7 @@ def draw(material: ReportInput) -> Figure:
     panel = draw_panel("ne_cdf", "Cumulative navigation error by scene", lambda axes: _paint(axes, material), 3.3)
     tables = [_table(material.statistics.navigation_error, "NE by scene, metres")]
     if material.statistics.other_error:
-        tables.append(_table(material.statistics.other_error, "The same by the other success measure, metres"))
+        tables.append(_table(material.statistics.other_error, "NE by the other success measure, metres"))
     return Figure("errors", title, source, caption, (panel,), tuple(tables))
 
 

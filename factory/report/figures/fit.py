@@ -23,7 +23,7 @@ def draw(material: ReportInput) -> Figure:
     fit = material.statistics.correlation[0]
     caption = (
         f"Each mark is one of {count(fit.n, 'episode')}. The dotted line is the straight path to the success region "
-        f"(slope 1, {material.statistics.success_radius_m:g} m less than the distance). {_describe_fit(fit)}"
+        f"(slope 1, start distance minus {material.statistics.success_radius_m:g} m). {_describe_fit(fit)}"
     )
     panel = draw_panel(
         "spawn_distance_vs_tl",

@@ -52,9 +52,9 @@ def draw(material: ReportInput) -> Figure:
     caption = (
         f"Shares of {count(found.read, 'episode')} with 95 % Wilson intervals; "
         f"{count(found.instructions, 'distinct instruction')}. "
-        "Blue, in the first frame: the target is the object nearest to the camera, the object with the "
-        "smallest bearing, or that of its category with the smallest bearing, the smallest distance or the largest "
-        "mask, so that it can be found without language or without spatial reasoning. "
+        "Blue, in the first frame: the target is the object nearest to the camera, or the object with the "
+        "smallest bearing, or the object of its category with the smallest bearing, the smallest distance or the "
+        "largest mask, so that it can be found without language or without spatial reasoning. "
         "Yellow: category and colour of the instruction fit several objects. "
         "Red: the target is not in view in the first frame but another object of its category is (contradictory), or "
         "the instruction has “in front of you” and the target is not in view or more than 30 degrees from the heading."
@@ -105,7 +105,8 @@ def _wording_table(found: LanguageStatistics) -> Table:
         ("language", "N", "distinct", "vocabulary", "words, mean", "self-BLEU"),
         rows,
         f"Wording; {interval(found.unique)} of the instructions fit one object of the scene, {wrong} fit "
-        f"none; {others} other objects of the category in the scene; chance of a random one in view: {chance}",
+        f"none; {others} other objects of the category in the scene; "
+        f"chance that a random object of the category in view is the target: {chance}",
     )
 
 

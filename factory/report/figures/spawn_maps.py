@@ -16,9 +16,8 @@ def draw(material: ReportInput) -> Figure:
     surveyed = ", ".join(f"{name(scene)} {len(floor.surveyed_m)}" for scene, floor in material.maps.items())
     beside = "; 40 per scene in the paper" if material.statistics.beside_paper else ""
     caption = (
-        f"Starts of {count(len(material.episodes), 'episode')} by tier, over the map of each scene: pale is the "
-        "reachable "
-        "floor, grey are low objects, dark grey are objects that occlude the view. Small crosses are the "
+        f"Starts of {count(len(material.episodes), 'episode')} by tier, over the map of each scene: the reachable "
+        "floor is pale, low objects are grey, and objects that occlude the view are dark grey. Small crosses are the "
         f"surveyed spawn points, from which far starts are drawn ({surveyed or 'no map could be read'}{beside}); "
         "hollow diamonds are all targets, filled diamonds those of episodes."
     )

@@ -14,7 +14,7 @@ from schemas.terms import Split
 
 
 def draw(material: ReportInput) -> Figure:
-    """Returns the stacked bar chart, the rollouts of each split and its overlap of instances with training."""
+    """Returns the stacked bar chart, and tables of the rollouts and of the instances shared with training by split."""
     title, source = "Splits", "Fig. 5, Table VI"
     if not material.episodes:
         return Figure("splits", title, source, "No episodes to show.")
@@ -70,4 +70,4 @@ def _overlap(material: ReportInput) -> Table:
         if row.scene == "all"
     )
     columns = ("split", "instances", "also in train_id", "share")
-    return Table(columns, rows, f"Target instances that {name('train_id')} has too")
+    return Table(columns, rows, f"Target instances that also occur in {name('train_id')}")

@@ -47,9 +47,8 @@ def _ratios(rows: dict[str, RolloutRow], beside: bool) -> str:
         length, steps = rows[tier].tl_mean_m, rows[tier].steps_mean
         if length is not None and steps is not None and near.tl_mean_m and near.steps_mean:
             parts.append(
-                f"trajectories of tier {tier} are {length / near.tl_mean_m:.1f} times as long as those of near and "
-                "have "
-                f"{steps / near.steps_mean:.1f} times the steps"
+                f"trajectories of tier {tier} are {length / near.tl_mean_m:.1f} times as long as those of tier near "
+                f"and have {steps / near.steps_mean:.1f} times the steps"
             )
     said = " (paper, far: 2.9 and 3.2)" if beside else ""
     return f" In this dataset, {'; '.join(parts)}{said}." if parts else ""

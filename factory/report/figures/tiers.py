@@ -29,8 +29,8 @@ def draw(material: ReportInput) -> Figure:
         f"First drawing: share of each tier among {count(total, 'episode')} ({counts}), with the share in the "
         f"plan{beside}. "
         f"Second drawing: planar distance of the start from the target's {material.statistics.success}; the dotted "
-        "lines are the tiers' limits at 1.5, 3.5 and 7.0 m (far starts are surveyed points with limits along the "
-        "floor)."
+        "lines are the tiers' limits at 1.5, 3.5 and 7.0 m. Far starts are surveyed points, and their limits apply to "
+        "the distance along the floor."
     )
     shares = draw_panel("spawn_tiers", f"Shares of the tiers: {counts}", lambda axes: _shares(axes, material), 2.6)
     distances = draw_panel(

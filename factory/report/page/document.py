@@ -24,13 +24,13 @@ from factory.stats import paper
 _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
 _ABOUT_PAPER = (
-    "The paper is MiniVLA-Nav v1 (1174 episodes). It has no start distances: an explanation that needs one uses "
-    "TL + NE, which is valid for straight trajectories. A difference is explained from 5 % in lengths and steps (15 % "
-    "for far starts, of which the paper has 14), 5 mm in NE (1 mm in its standard deviation), 2 percentage points in "
-    "shares, and 0.02 in r. The same thresholds around the paper's number are the target, and the published range is "
-    "the target of success rates. Verdict: inside, if the whole 95 % interval is in the target; outside, if no part of "
-    "it is; undecided otherwise. Intervals are Student's t for means, Wilson for shares, Fisher z for r; they do not "
-    "include the paper's own uncertainty."
+    "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances; explanations use TL + NE instead, "
+    "which is exact for straight trajectories. A difference is explained if it exceeds a threshold: 5 % in lengths and "
+    "steps (15 % for far starts, of which the paper has 14), 5 mm in NE (1 mm in its standard deviation), 2 percentage "
+    "points in shares, and 0.02 in r. The target is the paper's number plus or minus this threshold; for success "
+    "rates, it is the published range. The verdict is inside if the whole 95 % interval is in the target, outside if "
+    "no part of the interval is, and undecided otherwise. Intervals are Student's t for means, Wilson for shares, "
+    "Fisher z for r; they do not include the paper's own uncertainty."
 )
 
 
@@ -101,11 +101,11 @@ def _tiles(material: ReportInput) -> Sequence[tuple[str, str, str]]:
     said, beside = paper.OVERALL, material.statistics.beside_paper
     tiles = (
         ("episodes", str(everything.n), str(said.n)),
-        ("success, of attempts", _success(material), "40–90 %"),
+        ("successful attempts", _success(material), "40–90 %"),
         ("navigation error", _with_unit(everything.ne_mean_m, 3, "m"), _with_unit(said.ne_mean_m, 3, "m")),
         ("trajectory length", _with_unit(everything.tl_mean_m, 2, "m"), _with_unit(said.tl_mean_m, 2, "m")),
         ("steps", number(everything.steps_mean, 1), number(said.steps_mean, 1)),
-        ("r, distance and length", number(fit.r, 3), number(paper.FIT.r, 2)),
+        ("r of distance and length", number(fit.r, 3), number(paper.FIT.r, 2)),
     )
     return [(what, ours, f"paper {theirs}" if beside else "") for what, ours, theirs in tiles]
 
@@ -119,10 +119,10 @@ def _verdict(material: ReportInput, comparisons: Sequence[PaperComparison]) -> s
     away = [row for row in comparisons if row.reason]
     verdicts = Counter(row.verdict for row in comparisons if row.verdict)
     return (
-        f"{len(comparisons)} numbers of the paper are compared with this dataset; {len(away)} differ noticeably; their "
-        f"reasons are next to the figures. {verdicts.total()} of the numbers have a 95 % interval: it is inside the "
-        f"target for {verdicts['inside']}, outside for {verdicts['outside']}, and overlaps its edge for "
-        f"{verdicts['undecided']}, which are undecided. {means}"
+        f"{len(comparisons)} numbers of the paper are compared with this dataset; {len(away)} differ noticeably, for "
+        f"reasons given next to the figures. {verdicts.total()} numbers have a 95 % interval: {verdicts['inside']} "
+        f"intervals are inside the target range, {verdicts['outside']} are outside, and {verdicts['undecided']} "
+        f"overlap its edge (undecided). {means}"
     )
 
 
@@ -179,8 +179,8 @@ def _method(material: ReportInput) -> Sequence[str]:
         "All numbers come from the dataset's own tables (metadata.parquet, attempts.parquet) and equal those of "
         "`factory stats`. Tracks, actions and frames are read from the episodes.",
         f"NE is the planar distance between base_link and the target's {meta.plan.task.success} at the end, TL the "
-        "trajectory length; the start distance is planar too. Detour is TL minus the straight line from start to end; "
-        "the shortest path is measured along the floor to the success region.",
+        "trajectory length; the start distance is planar too. Detour is TL minus the difference of start distance and "
+        "NE; the shortest path is measured along the floor to the success region.",
         *((_ABOUT_PAPER,) if material.statistics.beside_paper else ()),
         f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Software: {software}.",
         "The page is reproducible: the same dataset and software give the same bytes.",

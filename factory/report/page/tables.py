@@ -14,7 +14,7 @@ from factory.report.drawing.text import DASH, number, percent
 from factory.stats.model import Interval
 
 _TIMES = 2.0
-"""Ratio above which a difference is given as a factor instead of per cent."""
+"""Ratio of `ours` to the published value from which a difference is given as a factor instead of per cent."""
 _ROWS_SHOWN = 8
 """Maximum number of rows of a table that is initially open."""
 Cells = Sequence[tuple[str, bool]]
@@ -23,15 +23,17 @@ Cells = Sequence[tuple[str, bool]]
 
 @dataclass(frozen=True)
 class ComparisonCells:
-    """Cells of a comparison."""
+    """Text of the cells of one comparison."""
 
     what: str
+    """Name of the compared number."""
     ours: str
+    """Number of the dataset."""
     interval: str
     """95 % interval of `ours`, or empty."""
     published: str
     target: str
-    """Range that agrees with the paper; empty if the paper prints it."""
+    """Range of numbers that agree with the paper; empty if `published` itself is a range."""
     source: str
     difference: str
     verdict: str
@@ -40,7 +42,7 @@ class ComparisonCells:
 
 @dataclass(frozen=True)
 class TableCells:
-    """Cells of a table of a figure."""
+    """Text of the cells of one table of a figure."""
 
     title: str
     head: Cells

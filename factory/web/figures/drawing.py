@@ -34,7 +34,7 @@ _CODE = (Path(factory.report.__file__).parent, Path(factory.stats.__file__).pare
 def draw_statistics(
     root: Place, on_progress: Callable[[int, int], None], first_opened: int = FIRST_OPENED
 ) -> Iterator[DrawnStatistics]:
-    """Yields the figures of a dataset: of a part of the episodes if there are many, then those of the report.
+    """Yields the figures of a dataset: first from some episodes if there are many, then from as many as in the report.
 
     Complete figures are cached by the content of the tables. The files of the episodes are not part of the key.
 

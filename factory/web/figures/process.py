@@ -16,7 +16,7 @@ from factory.web.figures.model import Message
 from schemas.errors import FactoryError
 
 _NICENESS = 10
-"""The process gets a tenth of the time of a process with the default priority."""
+"""The process gets a tenth of the CPU time of a process with the default priority."""
 _PAUSE_S = 0.5
 """Least time between two messages of progress, seconds."""
 

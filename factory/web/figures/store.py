@@ -20,7 +20,7 @@ _SHARE = 3
 
 @dataclass(frozen=True)
 class StatisticsState:
-    """Figures that can be shown, and the state of newer ones."""
+    """Figures that can be shown, and the progress of newer figures."""
 
     drawn: DrawnStatistics | None = None
     """Newest figures; `None` before the first ones are drawn."""
@@ -29,9 +29,9 @@ class StatisticsState:
     is_drawing: bool = False
     """Whether newer figures are being drawn."""
     done: int = 0
-    """Number of episodes read for them."""
+    """Number of episodes read for the newer figures."""
     total: int = 0
-    """Number of episodes to read for them; 0 while the tables are read."""
+    """Number of episodes to read for the newer figures; 0 while the tables are read."""
     wait_s: float = 0.0
     """Time until newer figures may be drawn, seconds; 0 if the figures are those of the current tables."""
 

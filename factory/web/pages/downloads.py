@@ -26,10 +26,10 @@ from factory.web.context import context_of
 from factory.web.pages.find import find_episode
 
 _AT_ONCE = 1
-"""Number of downloads that are made at a time; further ones wait."""
+"""Number of downloads that are made at a time; other requests wait."""
 _WAIT_S = 60.0
 _RERUN_STRIDE = 2
-"""Every second frame is part of a Rerun recording, as in `factory view`."""
+"""Stride of the frames in a Rerun recording, as in `factory view`."""
 _making = threading.BoundedSemaphore(_AT_ONCE)
 
 

@@ -18,9 +18,9 @@ from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_q
 PAGE_ROWS = 50
 """Number of episodes on a page."""
 LARGE_ROWS = 50_000
-"""Least number of rows of a table whose first rows are shown before all are read; smaller ones are read in 0.2 s."""
+"""Minimum size at which the first rows are shown before a table is read; smaller tables are read within 0.2 s."""
 _PATIENCE_S = 0.1
-"""Longest wait for the first reading of the table, seconds; then the page has its first rows only."""
+"""Maximum wait for the first reading of the table, seconds; after it, the page shows the first rows only."""
 _SHOWN = (
     ("episode_id", "episode"),
     ("scene", "scene"),
@@ -87,7 +87,7 @@ def prepare_scenes(context: WebContext, rows: Sequence[Mapping[str, Any]]) -> No
 
 
 def _cells(row: Mapping[str, Any]) -> list[tuple[str, bool]]:
-    """Returns text and whether it is a number for each shown column."""
+    """Returns for each shown column the text of the cell, and whether it is a number."""
     values = [row[name] for name, _ in _SHOWN]
     return [
         (f"{value:.2f}" if isinstance(value, float) else str(value), not isinstance(value, str)) for value in values

@@ -33,7 +33,7 @@ def routes() -> list[Route]:
 
 
 def show_all(request: Request) -> Response:
-    """Answers with the list of evaluations and their main metrics; a damaged one is named."""
+    """Answers with the list of evaluations and their main metrics; a damaged one is listed with its error."""
     known = context_of(request).evaluations
     found: list[tuple[str, EvaluationReading | None, MeasureTable | None, str]] = []
     for name in known.names:
@@ -80,7 +80,7 @@ def film(request: Request) -> Response:
     policy = reading.policies[number] if number < len(reading.policies) else None
     found = policy.video(spec, f".{kind}") if policy is not None and f"{dot}{kind}" in _KINDS else None
     if found is None:
-        raise HTTPException(404, "the evaluation has no such video; `factory eval --videos N` draws N of each policy")
+        raise HTTPException(404, "this video does not exist; `factory eval --videos N` draws N failures of each policy")
     return FileResponse(found, media_type=_KINDS[f".{kind}"], headers={"cache-control": "private, max-age=60"})
 
 
@@ -109,7 +109,7 @@ def _compared(request: Request, reading: EvaluationReading) -> tuple[PairedCompa
 
 
 def _archived(request: Request, names: list[str]) -> set[str]:
-    """Returns those of the names that are episodes of the dataset, to which failures link."""
+    """Returns the names that are episodes of the dataset; failures in these episodes link to them."""
     try:
         held = context_of(request).workspace.dataset().column("episode_id")
     except FactoryError:

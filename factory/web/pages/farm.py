@@ -28,7 +28,7 @@ from schemas.protocol.status import Progress, WorkerStatus
 from schemas.terms import family_of
 
 _MAPS = 8
-"""Largest number of scenes whose failures are drawn."""
+"""Maximum number of scenes for which the page draws a map of failures."""
 _STATES = ("archived", "submitted", "leased", "pending", "failed", "cancelled")
 
 
@@ -79,7 +79,7 @@ def show(request: Request) -> Response:
 
 
 def read_view(workspace: Workspace) -> FarmView:
-    """Returns the content of the page as the ledger is now; without a readable ledger, the page names the reason."""
+    """Returns the current content of the page; if the ledger cannot be read, the page shows the reason."""
     try:
         farm = workspace.farm()
     except FactoryError as error:

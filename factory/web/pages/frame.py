@@ -19,7 +19,7 @@ from schemas.terms import Recording
 _MASKS = 40
 """Number of frames whose mask is measured."""
 _MASK_PX = 160
-"""Size of frames that are rendered for their mask, pixels."""
+"""Size of the frames that are rendered to measure the mask, pixels."""
 
 
 async def show_frame(request: Request) -> Response:

@@ -21,9 +21,9 @@ _TEXTS = MappingProxyType(
     {
         AdminAction.RETRY: "Puts failed or cancelled episodes back into the queue.",
         AdminAction.CANCEL: "Cancels episodes that have not ended. Workers stop them at their next heartbeat.",
-        AdminAction.DRAIN: "Lets every worker finish its current jobs and exit; those that start later exit too, until "
+        AdminAction.DRAIN: "Lets every worker finish its current jobs and exit; new workers exit too, until "
         "the coordinator is restarted. Needs a running coordinator.",
-        AdminAction.PAUSE: "Leases no further job until the run is resumed. Running jobs continue.",
+        AdminAction.PAUSE: "Leases no more jobs until the run is resumed. Running jobs continue.",
         AdminAction.RESUME: "Leases jobs again.",
         AdminAction.RELEASE: "Assigns jobs to all barred and limited hosts again.",
     }

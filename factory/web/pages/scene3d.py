@@ -51,9 +51,9 @@ def show(request: Request) -> Response:
 
 
 def mesh(request: Request) -> Response:
-    """Answers with the mesh of a scene; the page names its version in the URL, so that browsers keep it."""
+    """Answers with the mesh of a scene; its URL on the page contains a version, so that browsers can cache it."""
     package = package_named(context_of(request), request.path_params["name"])
-    with _making:  # encoding one takes a second; a second request for it waits
+    with _making:  # encoding takes a second; other requests for the same mesh wait
         data = _encode(package)
     return Response(data, media_type="model/gltf-binary", headers={"cache-control": "private, max-age=86400"})
 

@@ -97,7 +97,7 @@ def draw_failures(request: Request) -> Response:
 
 
 def _placed(context: WebContext, name: str, floor: Floor) -> list[tuple[FailedPlace, FloorMark]]:
-    """Returns the newest failed attempts whose location, or whose target's location, is known."""
+    """Returns the newest failed attempts with a known location, of the robot or of the target."""
     targets = {target.target_id: target.centroid_m for target in floor.info.targets}
     found = []
     for failure in context.workspace.failures(name):

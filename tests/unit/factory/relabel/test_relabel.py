@@ -115,7 +115,7 @@ def test_an_interrupted_call_continues_and_gives_the_same_instructions(source, r
 
 
 def test_another_language_file_or_foreign_directory_is_refused(source, relabelled, tmp_path):
-    with pytest.raises(UsageError, match="was relabelled with another language file"):
+    with pytest.raises(UsageError, match="was relabelled with a different language file"):
         relabel(source, relabelled, LanguageSpec(seed=1))
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(UsageError, match="is not a relabelled dataset"):
@@ -124,7 +124,7 @@ def test_another_language_file_or_foreign_directory_is_refused(source, relabelle
 
 
 def test_the_draw_of_targets_is_refused_for_recorded_episodes(source, tmp_path):
-    with pytest.raises(InvalidLanguage, match="exchangeable: a plan draws the start before the target"):
+    with pytest.raises(InvalidLanguage, match="exchangeable: only a plan draws the target after the start"):
         relabel(source, tmp_path / "out", LanguageSpec(exchangeable=True, in_view=1))
     assert not (tmp_path / "out").exists()
 

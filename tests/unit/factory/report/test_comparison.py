@@ -17,7 +17,7 @@ from tests.builders.dataset import failure
 from tests.builders.statistics import episode_row, rows_of, two_scenes
 
 OFFICE_RATE = "first near and mid attempts that succeed, office"
-SHARE_OF_THREE = "share of the three most frequent"
+SHARE_OF_THREE = "share of the three most frequent categories"
 
 
 def material(episodes: list[Any], failures: list[Any] | None = None) -> ReportInput:

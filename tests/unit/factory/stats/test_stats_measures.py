@@ -85,7 +85,7 @@ def test_fisher_interval_of_the_papers_numbers_is_the_papers() -> None:
 def test_fewer_than_three_episodes_give_no_correlation_and_a_note(count: int) -> None:
     fit = fit_line("near", list(range(count)), list(range(count)))
     assert (fit.n, fit.r, fit.p, fit.slope) == (count, None, None, None)
-    assert fit.remark == f"needs at least 3 episodes, has {count}"
+    assert fit.remark == f"a fit needs at least 3 episodes, the group has {count}"
 
 
 def test_three_episodes_leave_the_interval_open() -> None:

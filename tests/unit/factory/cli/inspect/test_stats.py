@@ -220,7 +220,7 @@ def test_an_empty_dataset_is_reported(tmp_path: Path) -> None:
         write_tables(archive, small_plan(3), {}, [], [], NOW)
     found = measure_dataset(tmp_path / "data")
     assert found.is_sound
-    assert found.remarks[-1].text == "no episodes; there are no means"
+    assert found.remarks[-1].text == "no episodes, so that no means can be computed"
 
 
 def test_missing_episodes_are_omitted_and_named(own: Path) -> None:
@@ -236,13 +236,13 @@ def test_truncated_episodes_are_omitted_and_named(own: Path) -> None:
     path.write_bytes(path.read_bytes()[:1000])
     found = measure_dataset(own)
     assert (found.episodes, found.is_sound) == (2, False)
-    assert f"because the file has another size: ep_000003 (1000 bytes, recorded {size})" in found.remarks[0].text
+    assert f"because the file size is wrong: ep_000003 (1000 bytes instead of {size})" in found.remarks[0].text
 
 
 def test_cells_that_differ_from_the_plan_are_named(own: Path) -> None:
     (own / "episodes" / "ep_000002.zip").unlink()
     texts = [remark.text for remark in measure_dataset(own).remarks]
-    assert "1 cells differ from the plan: office / train_id / near has 2 of 3" in texts
+    assert "1 cells differ from the plan: office / train_id / near has 2 of 3 episodes" in texts
 
 
 def describe(root: Path, **changes: object) -> None:

@@ -100,10 +100,10 @@ def test_the_result_of_a_killed_process_may_lack_poses() -> None:
         ({"track": ()}, "no track"),
         ({"track": ((0.5, 0.0, 0.0),) * 21}, "the track starts at"),
         ({"track": ((0.0, 0.0, math.pi),) * 21}, "the track starts at"),
-        ({"track": ((0.0, 0.0, 0.0),) * 9}, "9 poses in the track of 121 steps"),
+        ({"track": ((0.0, 0.0, 0.0),) * 9}, "the track has 9 poses for 121 steps"),
         ({"track": ((0.0, 0.0, 0.0),) * 20 + ((2.0, 0.0, 0.0),)}, "between two poses"),
-        ({"trajectory_length_m": 1.0}, "the track alone is 2.000 m long"),
-        ({"track": ((0.0, 0.0, 0.0),) * 21}, "final_ne_m is 1.000 m, by the track 3.000 m"),
+        ({"trajectory_length_m": 1.0}, "the track is 2.000 m long"),
+        ({"track": ((0.0, 0.0, 0.0),) * 21}, "final_ne_m is 1.000 m, but the track gives 3.000 m"),
     ],
 )
 def test_every_inconsistent_value_is_named(changes: dict[str, Any], reason: str) -> None:
