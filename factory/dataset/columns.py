@@ -74,7 +74,8 @@ class Columns:
     def row(self, position: int) -> dict[str, Any]:
         """Returns the values of one row, not validated.
 
-        The first rows of a large table are read from their row groups, until that takes as long as reading all columns.
+        The first rows that are requested from a large table are read from their row groups, until this has taken as
+        long as reading all columns.
         """
         if not self._readers and self._single < self.rows // _ROWS_PER_SINGLE:
             self._single += 1
@@ -85,7 +86,7 @@ class Columns:
 
     def _open(self) -> pq.ParquetFile:
         found = table_of(self._path)
-        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # opened once: it keeps its content
+        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # stays readable if replaced
         footer = pq.read_metadata(source)
         names = footer.schema.to_arrow_schema().names
         missing = [name for name in NAMES if name not in {*names, *_LATER.names}]
@@ -144,7 +145,7 @@ def _single_value(column: pa.ChunkedArray) -> Any:
 
 def _compact(column: pa.ChunkedArray) -> pa.Array | pa.ChunkedArray:
     if pa.types.is_string(column.type):
-        return column  # to combine its chunks takes twice its memory for a moment
+        return column  # combining the chunks would briefly take twice the memory
     whole = column.unify_dictionaries().combine_chunks()
     if pa.types.is_dictionary(whole.type):
         return pa.DictionaryArray.from_arrays(_narrowed(whole.indices), whole.dictionary)

@@ -108,7 +108,7 @@ class Episode(Closing):
 
     @cached_property
     def steps(self) -> tuple[SubInstruction, ...]:
-        """Sub-instructions of the first route, whose spans cover all frames; empty if the dataset has no route of it.
+        """Sub-instructions of the first route, whose spans cover all frames; empty if the episode has no route.
 
         `factory relabel` writes routes (docs/language.md#routes).
         """

@@ -122,7 +122,7 @@ def find_package_file(root: Place, name: str, sha256: str) -> Path:
     found = []
     folders = (root / SCENES, *scene_path())
     places = [place for folder in folders for place in packages_of(folder, name)]
-    for place in sorted(places, key=lambda place: sha256[:16] not in place.name):  # reading each would take long
+    for place in sorted(places, key=lambda place: sha256[:16] not in place.name):  # hashing each would take long
         path = package_file(place)
         digest = digest_of(path)
         if digest == sha256:
@@ -151,7 +151,7 @@ def packages_by_scene(folder: Place) -> dict[str, Place]:
 
 
 def package_file(place: Place) -> Path:
-    """Returns the local file of a scene package, with its textures beside it, which hosts share.
+    """Returns the local file of a scene package, and stores the textures that it needs beside it.
 
     Raises:
         FileNotFoundError: The package does not exist.

@@ -30,9 +30,9 @@ def scene_numbers(dataset: Dataset) -> NDArray[np.int64]:
 def shuffle_by_scene(
     scenes: NDArray[np.int64], rng: np.random.Generator, at_once: int = KEPT_SCENES
 ) -> list[NDArray[np.int64]]:
-    """Returns the positions of all items in random order, in windows of items of at most `at_once` random scenes.
+    """Shuffles items within windows: each window has the positions of all items of at most `at_once` random scenes.
 
-    With at most `at_once` scenes, the only window is `rng.permutation(len(scenes))`.
+    If there are at most `at_once` scenes in total, the only window is `rng.permutation(len(scenes))`.
 
     Args:
         scenes: (N,) number of the scene of each item, 0, 1, ...
@@ -51,7 +51,7 @@ def shuffle_by_scene(
 class SceneSampler:
     """Sampler for PyTorch's `DataLoader` that shuffles within windows of a few scenes.
 
-    The scenes of the dataset are drawn into windows of `scenes` scenes in each epoch; the samples of a window are
+    In each epoch, the scenes are divided at random into windows of `scenes` scenes; the samples of a window are
     shuffled. A dataset with at most `scenes` scenes is shuffled as a whole. Each rank of a distributed training gets a
     contiguous part of the order, so that every sample is used exactly once in an epoch; the numbers of samples of two
     ranks differ by at most one.

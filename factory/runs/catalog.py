@@ -205,7 +205,7 @@ def _find(scene: ScenePlan, cache: Path) -> Path | None:
 
 
 def _called(scene: ScenePlan) -> str | None:
-    """Returns the name of a numbered layout; `None` for a scene with the name of its family."""
+    """Returns the name of a numbered layout; `None` for a scene that is named like its family."""
     return None if family_of(scene.name) == scene.name else scene.name
 
 

@@ -22,8 +22,9 @@ _MOST_TARGETS = 12
 def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
     """Returns by scene the expected share of far starts that need a corner, 0..1; omits scenes without far starts.
 
-    It is estimated from the `_MOST_TARGETS` most frequent targets of each scene, from which every surveyed point in the
-    range of the tier is as probable. Conditions on the start view and tests in physics are not computed.
+    The share is estimated from the `_MOST_TARGETS` most frequent targets of each scene. For each of these targets, all
+    surveyed points in the range of the tier are taken as equally probable starts. Conditions on the start view and
+    tests in physics are ignored.
 
     Args:
         plan: Plan that its scenes support.
@@ -39,7 +40,7 @@ def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
 
 
 def _share(plan: Plan, catalog: Catalog, far: list[PlannedJob]) -> float | None:
-    """Returns the share for the far starts of one scene; `None` if its targets have no surveyed point in the range."""
+    """Returns the share for the far starts of one scene; `None` if no surveyed point is in range of its targets."""
     place = prepare_scene(read_geometry(catalog[far[0].episode.scene].path))
     number = Counter(planned.episode.target_id for planned in far)
     first = {planned.episode.target_id: planned for planned in reversed(far)}

@@ -90,7 +90,7 @@ class GateReport(Model):
 
 
 def run_gate(run: GateRun, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
-    """Runs every job once; returns the trials that ended before all were done or `stop` was set.
+    """Runs every job once and returns the trials; if `stop` is set, only those that have ended.
 
     Args:
         run: Jobs and settings.
@@ -187,7 +187,7 @@ class _TrialProcess:
             self._is_ready, self._starts = True, 0
         if report.kind in {SimulationReportKind.READY, SimulationReportKind.PROGRESS} or self._job is None:
             return None
-        if report.reason is FailReason.RELEASED:  # a full disk does not depend on the scene
+        if report.reason is FailReason.RELEASED:  # the disk is full, which is not a failure of the scene
             raise WorldError(f"{report.detail}; free space in the folder of temporary files, or set TMPDIR")
         job, self._job = self._job, None
         self._bundle.unlink(missing_ok=True)

@@ -79,7 +79,7 @@ def build_layouts(plan: Plan, names: Collection[str], cache: Path, builds: Layou
 
 
 def _require_categories(plan: Plan) -> None:
-    """Checks that the families can have the categories that the plan names; no seed has another one."""
+    """Checks that the families can have the categories that the plan names. Other seeds would not add any."""
     mistakes = []
     for number, scene in enumerate(plan.scenes):
         if scene.layouts is None:

@@ -1,4 +1,4 @@
-"""Supervisor of the worker of one Ray node: an actor that starts `factory worker` and ends it with itself.
+"""Supervisor of the worker of one Ray node: an actor that starts `factory worker`, which ends with the actor.
 
 Does not import Ray: the driver turns the class into an actor.
 """
@@ -26,7 +26,7 @@ _LEAVE_S = 8.0
 class RayWorker:
     """Worker process of one node, which uses the cores that Ray has assigned to the actor.
 
-    The process stops when its standard input is closed, also if the actor is killed.
+    The process stops when its standard input is closed, even if the actor is killed.
 
     Args:
         endpoint: Endpoint of the coordinator.

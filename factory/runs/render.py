@@ -82,7 +82,7 @@ def prepare_rendering(
         UsageError: the dataset stores frames already, the location contains another run, or the rig does not exist.
         InvalidRig: the rig has mistakes or does not fit the plan.
         ArchiveCorrupt: a table or a scene of the dataset is damaged or missing.
-        WorldError: the episodes have a newer format, the renderer gives other frames than the recorded ones, the frames
+        WorldError: the episodes have a newer format, frame 0 of the renderer differs from the recorded one, the frames
             do not fit on the disk, or the location cannot be written.
     """
     dataset = Dataset(root)
@@ -112,7 +112,7 @@ def prepare_rendering(
 
 
 def _require_recorded_frame(episode: Episode, kind: RendererKind) -> None:
-    """Raises `WorldError` if a renderer gives another frame 0 than the recorded one."""
+    """Raises `WorldError` if frame 0 of a renderer differs from the recorded one."""
     with episode, open_apart(kind) as renderer:
         meta, package = episode.meta, episode.package
         renderer.load_package(package.sha256, package.read, meta.job.camera)
@@ -150,13 +150,13 @@ def _write_tables(dataset: Dataset, meta: DatasetMeta, site: Site) -> None:
     meta = meta.model_copy(update={"episodes": 0, "complete": False, "dataset_digest": None})
     attempts, described = (dataset.root / ATTEMPTS_FILE).read_bytes(), meta.model_dump_json(indent=1).encode()
     with open_archive(site.state_dir, site.store) as archive:
-        for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):  # the description makes it a run
+        for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):  # last: META_FILE marks a run
             with archive.replacing(name) as part:
                 part.write_bytes(data)
 
 
 class StatesSource:
-    """Function that returns the states recording of a job, base64, or `None` if the dataset has none that is whole."""
+    """Function that returns the states recording of a job, base64, or `None` if the dataset has no intact one."""
 
     def __init__(self, dataset: Dataset) -> None:
         self._root = dataset.root
@@ -177,7 +177,7 @@ class StatesSource:
         except OSError as error:
             return _refuse(job, f"{path} cannot be read: {error}")
         if hashlib.sha256(data).digest() != sha256:
-            return _refuse(job, f"{path} has another SHA-256 than the metadata")
+            return _refuse(job, f"{path} differs from the SHA-256 in the metadata")
         text = base64.b64encode(data).decode()
         return text if len(text) <= MAX_STATES_CHARS else _refuse(job, f"{path} is larger than a message")
 

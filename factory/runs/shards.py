@@ -79,7 +79,7 @@ def may_take_over(
     seen, waited_s = read_shard_state(site.store), 0.0
     while holder := other_holder(site.store, site.state_dir):
         if read_shard_state(site.store) != seen:
-            raise WorldError(f"another process runs the shard {site}, that of {holder}: stop it first")
+            raise WorldError(f"another process runs the shard {site}: stop it first; its state directory: {holder}")
         if waited_s >= patience_s or stop.wait(pause_s):
             return waited_s >= patience_s
         waited_s += pause_s
@@ -110,7 +110,7 @@ class ShardRecorder:
         if self._written is not None and now - self._written < _INTERVAL_S:
             return
         if self.site.store is not None and (holder := other_holder(self.site.store, self.site.state_dir)):
-            raise WorldError(f"another process has taken over the shard {self.site}, that of {holder}")
+            raise WorldError(f"another process has taken over the shard {self.site}; its state directory: {holder}")
         self._write(progress)
         self._written = now
 

@@ -85,7 +85,7 @@ class SlurmJob:
     factory: tuple[str, ...] = ("factory",)
     """Command that starts the command line."""
     has_local_ledgers: bool = False
-    """Whether ledgers are stored on the local disks of the nodes, because SQLite cannot use that of `run`."""
+    """Whether ledgers are on the local disks of the nodes, because SQLite cannot use the file system of `run`."""
 
     @property
     def plan(self) -> Path:
@@ -230,7 +230,7 @@ def submit_all(job: SlurmJob, mode: Mode) -> dict[str, int]:
 
     Raises:
         UsageError: this host has no `sbatch`.
-        WorldError: Slurm refuses a job; no job remains.
+        WorldError: Slurm refuses a job; a job that was already submitted is cancelled.
     """
     first, second, when = order_of(mode)
     leading = submit(job.run / "slurm" / f"{first}.sh")

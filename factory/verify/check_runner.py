@@ -18,9 +18,9 @@ _ROWS_AT_A_TIME = 2000
 _CHECKS_AT_A_TIME = 4
 _BYTES_PER_S = 75e6
 _EPISODE_S = 0.01
-"""CPU time of a deep check in addition to that of the bytes, seconds."""
+"""CPU time of a deep check that does not depend on the size of the episode, seconds."""
 _WORTH_A_PROCESS_S = 2.0
-"""CPU time of checks for which a process is started, seconds: twice the CPU time of its start and imports."""
+"""CPU time of the checks that justify one more process, seconds: twice the CPU time of its start and imports."""
 
 
 def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterator[EpisodeFindings]:
@@ -43,9 +43,9 @@ def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterato
 
 
 def useful_processes(checks: Sequence[EpisodeCheck], cores: int) -> int:
-    """Returns how many processes check episodes sooner than one process; at most one per core.
+    """Returns how many processes finish the checks soonest; at most one per core.
 
-    Rendering an episode again takes seconds, so that each rendered one is worth a process.
+    Each episode that is rendered again justifies a process, because rendering it takes seconds.
     """
     rendered = sum(check.render for check in checks)
     work_s = sum(_EPISODE_S + check.row.file_bytes / _BYTES_PER_S for check in checks if check.deep)

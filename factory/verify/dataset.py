@@ -139,7 +139,7 @@ def _drawn_again(formats: Mapping[str, int], count: int) -> set[str]:
 
 
 def _reference_episodes(root: Place | None, dataset: Dataset, names: Iterable[str]) -> dict[str, Episode]:
-    """Returns the episodes of a reference by id, limited to those that it has with the same number of steps."""
+    """Returns the episodes of a reference by id; omits those whose number of steps differs from the dataset's."""
     if root is None:
         return {}
     reference = Dataset(root)
@@ -178,7 +178,7 @@ def _check_listing(root: Place, names: Collection[str], report: VerifyReport) ->
     for name, damage in listed.damaged.items():
         report.add(Kind.DAMAGED, f"{EPISODES}/{name}", f"{damage}; `factory repair` keeps its intact episodes")
     for text in listed.twice:
-        report.add(Kind.SURPLUS, EPISODES, f"{text}; `factory repair` keeps one of equal ones")
+        report.add(Kind.SURPLUS, EPISODES, f"{text}; if both copies are equal, `factory repair` keeps one")
     if listed.index_fault:
         report.add(Kind.CONTRADICTION, SHARDS_FILE, f"{listed.index_fault}; rewrite it with `factory repair`")
     for index, path in listed.episodes.items():
@@ -208,7 +208,11 @@ def _check_tables(dataset: Dataset, report: VerifyReport) -> None:
         report.add(Kind.DAMAGED, ATTEMPTS_FILE, f"cannot be read: {error}")
     else:
         if attempts != meta.failed_attempts:
-            report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} has {meta.failed_attempts}")
+            report.add(
+                Kind.CONTRADICTION,
+                ATTEMPTS_FILE,
+                f"has {attempts} rows, but {META_FILE} has {meta.failed_attempts} failed attempts",
+            )
     _check_split_tables(dataset, report)
 
 

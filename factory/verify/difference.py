@@ -54,12 +54,12 @@ class ChannelDifference:
 
 @dataclass
 class RenderDifference:
-    """Comparison of rendered frames with their recorded digests and, where pixels are available, with these."""
+    """Comparison of rendered frames with the recorded digests and, where they are available, the recorded pixels."""
 
     frames: int = 0
     """Number of frames that were compared with a digest."""
     differing: int = 0
-    """Number of frames with another digest."""
+    """Number of frames whose digest differs from the recorded one."""
     measured: int = 0
     """Number of frames whose recorded pixels were available."""
     recorded_with: set[str] = field(default_factory=set)
@@ -72,7 +72,7 @@ class RenderDifference:
     """Differences over all measured frames, by channel."""
 
     def add_equal(self, pixels: int, is_measured: bool) -> None:
-        """Adds a frame with the recorded digest, whose values are equal if they are available."""
+        """Adds a frame whose digest equals the recorded one; if `is_measured`, its pixels count as equal."""
         self.frames += 1
         if is_measured:
             self.measured += 1
@@ -80,7 +80,7 @@ class RenderDifference:
                 channel.values += pixels
 
     def add_differing(self, recorded: Frame | None, rendered: Frame) -> None:
-        """Adds a frame with another digest; `None` if its recorded pixels are not available."""
+        """Adds a frame whose digest differs; `recorded` is `None` if the recorded pixels are not available."""
         self.frames += 1
         self.differing += 1
         if recorded is not None:

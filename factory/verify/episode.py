@@ -37,7 +37,7 @@ class EpisodeCheck:
     root: Place
     row: EpisodeSummary
     candidates: tuple[Target, ...]
-    """Targets of the scene that the episode may have, that of the row first; none where the scene cannot be read."""
+    """Possible targets of the episode, the target of the row first; empty if the scene cannot be read."""
     deep: bool
     render: bool = False
     """Whether to render frames again and compare them with their digests."""
@@ -60,7 +60,8 @@ class EpisodeFindings(NamedTuple):
 def check_episode(check: EpisodeCheck) -> EpisodeFindings:
     """Returns all findings of an episode file, and the comparison of its rendered frames.
 
-    They concern size and SHA-256, with `deep` every frame, the motion and the row, with `render` the rendered frames.
+    The check compares size and SHA-256. With `deep`, it also checks every frame, the motion and the row; with `render`,
+    it renders frames again.
 
     Raises:
         WorldError: frames are to be rendered, and this machine cannot.
@@ -99,7 +100,7 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
 
 
 def _candidates(check: EpisodeCheck, job: Job) -> tuple[Target, ...]:
-    """Returns the targets that an episode may have by its job."""
+    """Returns the possible targets of an episode according to its job."""
     if job.choice is None:
         return check.candidates[:1]
     return tuple(each for each in check.candidates if each.instance_id in job.choice.among)
@@ -108,12 +109,12 @@ def _candidates(check: EpisodeCheck, job: Job) -> tuple[Target, ...]:
 def targets_of(
     row: EpisodeSummary, scene: SceneEntry | None, is_drawn: bool = False
 ) -> tuple[tuple[Target, ...], list[Finding]]:
-    """Returns the target of a row as defined in its scene, and findings where both contradict each other.
+    """Returns the possible targets of a row, as its scene defines them, and contradictions as findings.
 
     Args:
         row: Row of the episode.
         scene: Scene package; `None` where it cannot be read, which is a separate finding.
-        is_drawn: Whether the target was drawn at the start; the other targets of its category then follow it.
+        is_drawn: Whether the target was drawn at the start; if so, the other targets of its category are returned too.
     """
     if scene is None:
         return (), []

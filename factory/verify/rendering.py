@@ -35,10 +35,10 @@ def compare_rendered(
 
     Args:
         bundle: open episode.
-        difference: the frames are added to it. How far pixels differ is measured if they are stored: in the episode, or
-            in the reference.
+        difference: comparison to which the frames are added. It measures how far pixels differ if the episode or the
+            reference stores them.
         reference: the same episode in a frames recording.
-        candidates: targets of the scene that the episode may have; none if the scene cannot be read.
+        candidates: possible targets of the episode; empty if the scene cannot be read.
 
     Raises:
         WorldError: this machine cannot render.

@@ -91,7 +91,7 @@ def trace_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
 
 
 def _directed_edges(mask: NDArray[np.bool_]) -> dict[Corner, list[Corner]]:
-    """Returns corner -> next corners; the region is to the left of each edge (rows up)."""
+    """Returns the next corners of each corner; the region is left of each edge if the row axis points up."""
     padded = np.pad(mask, 1)
     following: dict[Corner, list[Corner]] = defaultdict(list)
     below, here = padded[:-1, 1:-1], padded[1:, 1:-1]

@@ -24,8 +24,8 @@ _SHOWN_IF_GIVEN = (CameraOutput.NORMALS, CameraOutput.FLOW)
 def draw_rig_sheet(episode: EpisodeBundle, rig: Rig, columns: int) -> Image.Image:
     """Returns a sheet with a row for each camera and lidar.
 
-    A camera has colour from start to end, then depth, ids, and its normals and flow in the middle; a lidar
-    has scans from above, from start to end, and the ranges of a 3D lidar in the middle.
+    The row of a camera shows colour from start to end, then depth, ids, normals and flow of the middle step. The row of
+    a lidar shows scans from above, from start to end; for a 3D lidar, also the ranges of the middle step.
 
     Args:
         episode: bundle of the episode.

@@ -15,7 +15,7 @@ Rgb = NDArray[np.uint8]
 _SCAN_SHOWN_M = 8.0
 """Distance from the robot to the edge of the picture of a scan, metres."""
 _STRONGEST = 0.95
-"""Share of the flow's pixels whose length is below full saturation."""
+"""Quantile of the flow's length that has full saturation."""
 
 
 def show_normals(normals: NDArray[np.float32]) -> Rgb:
@@ -26,8 +26,8 @@ def show_normals(normals: NDArray[np.float32]) -> Rgb:
 def show_flow(flow: NDArray[np.float32]) -> Rgb:
     """Returns optical flow (H, W, 2) as colours (H, W, 3) of the HSV wheel.
 
-    The hue is the direction (red is to the right), the saturation the length relative to the longest flow of the image;
-    undefined pixels are black.
+    The hue is the direction (red is to the right). The saturation is the length relative to its 95 % quantile in the
+    image, at most 1. Undefined pixels are black.
     """
     length, is_defined = np.hypot(flow[..., 0], flow[..., 1]), np.isfinite(flow[..., 0])
     longest = max(float(np.quantile(length[is_defined], _STRONGEST)) if is_defined.any() else 0.0, 1e-6)
@@ -43,7 +43,7 @@ def show_scan(scan: LidarScan, lidar: Lidar2d | Lidar3d, target: int, size: int)
     Args:
         scan: scan of the lidar.
         lidar: model with its mounting pose.
-        target: instance id that is red.
+        target: instance id that is drawn in red.
         size: side of the square picture, pixels; its edges are `_SCAN_SHOWN_M` from base_link.
     """
     ahead = points_of(scan, lidar) @ mount_rotation(lidar.mount).T[:, :2] + (lidar.mount.x_m, lidar.mount.y_m)

@@ -59,7 +59,10 @@ def test_unreported_contact_is_found() -> None:
     """A robot blocked by a wall in an episode that reports no contact."""
     arrays, contacts = record(*DRIVES["into the wall"])
     assert contacts > 0
-    assert any("difference between driven and commanded distance" in finding for finding in motion_findings(arrays, ROBOT, HZ, 0))
+    assert any(
+        "difference between driven and commanded distance" in finding
+        for finding in motion_findings(arrays, ROBOT, HZ, 0)
+    )
 
 
 def test_shifted_commands_are_found() -> None:

@@ -64,16 +64,16 @@ class ServeBench(Model):
     first_frame: RequestCost
     """Cost of the first colour frame of an episode that was not open."""
     frames_per_s: float
-    """Rate at which the server supplies frames of an episode; a frame is colour, depth and ids as the player asks."""
+    """Frames of an episode that the server supplies per second; a frame has colour, depth and ids."""
     frame_cpu_ms: float
     """CPU time of the server for one such frame, milliseconds."""
     tabs: int
     tabs_s: float
     """Time for which the tabs were open, seconds."""
     tabs_core_share: float
-    """CPU time of the server per second while the tabs were open."""
+    """CPU time of the server per second of wall time while the tabs were open."""
     idle_core_share: float
-    """The same before the tabs were opened."""
+    """CPU time of the server per second of wall time before the tabs were opened."""
 
 
 def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBench:
@@ -83,7 +83,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
         root: dataset, which may be running.
         repeats: number of timed requests of each page.
         tabs: number of open farm pages.
-        seconds: time for which they are open, seconds; also of the idle server.
+        seconds: time for which the pages are open, seconds; the idle server is measured for the same time.
 
     Raises:
         WorldError: the server does not start.

@@ -1,8 +1,8 @@
 """Generates the dataset of a finished run from a few recorded episodes: ledger, shards, tables. Simulates nothing.
 
 The episodes repeat the recorded ones under the jobs of the plan, with other poses, so that no two files are equal. Each
-twentieth episode has a failed attempt. Files, sizes and tables are those of a run; the content digests are not, and the
-motion does not lead to the targets, so that `factory verify --deep` reports the episodes.
+twentieth episode has a failed attempt. Files, sizes and tables are like those of a run. The content digests are
+wrong and the motion does not lead to the targets, so that `factory verify --deep` reports the episodes.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _pack(root: Path, batch: Sequence[_Made]) -> None:
 def _ledger_row(row: EpisodeSummary, now: datetime) -> dict[str, Any]:
     return {
         "idx": row.index,
-        "job_id": row.index,  # a new ledger numbers its jobs as the plan its episodes
+        "job_id": row.index,  # in a new ledger, the job of an episode has the episode's number
         "attempt": row.attempt,
         "sha256": row.file_sha256,
         "size": row.file_bytes,

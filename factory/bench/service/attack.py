@@ -16,7 +16,7 @@ _SLOW = (b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n", b"GET / HT", b"POST /
 
 
 def hostile_requests(host: str) -> tuple[bytes, ...]:
-    """Returns requests without token, of another web site, with a foreign name, of other files, and malformed ones."""
+    """Returns requests without token, from another site, with a wrong host, for other files, and malformed ones."""
     texts = (
         f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nContent-Length: 17\r\n\r\nall=1&confirm=1&k",
         f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nOrigin: http://evil.example\r\nContent-Length: 0\r\n\r\n",

@@ -108,7 +108,7 @@ def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
 
 
 def _cycles_per_s(writer: Writer, meta: EpisodeMeta, workers: int) -> float:
-    """Returns cycles per second: each worker claims and announces, and its episode is archived, in rounds."""
+    """Returns cycles per second; in each round, all workers claim, then announce, then their episodes are archived."""
     start_s = time.perf_counter()
     for _ in range(_ROUNDS):
         rows = _together(writer, [_claim] * workers)
@@ -133,7 +133,7 @@ def _announcing(lease: Lease) -> Callable[[Any], Any]:
 
 
 def archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], Any]:
-    """Returns the work of the ledger's writer that records an archived episode."""
+    """Returns the function that records an archived episode, for the ledger's writer."""
     job = meta.job.model_copy(update={"index": index})
     summary = summary_of(meta.model_copy(update={"job": job, "episode_id": job.episode_id}), _SHA256, 1000)
     return lambda connection: outcomes.archive(connection, lease, summary, datetime.now(UTC))

@@ -26,11 +26,11 @@ from schemas.plan import Plan
 
 _LEASE_S = 600.0
 _WAITING = 512
-"""Largest number of bundles that wait for the coordinator, of all workers."""
+"""Largest number of bundles of all workers that wait for the coordinator."""
 _WAITING_BYTES = 1 << 30
 """Largest total size of these bundles, bytes."""
 _READY_BYTES = 1 << 29
-"""Largest total size of bundles that are made before the measurement, bytes; larger ones are made in it."""
+"""Largest total size of the bundles that are made before the measurement, bytes; otherwise all are made during it."""
 
 
 def bench_delivery(
@@ -63,7 +63,7 @@ def bench_delivery(
         tell: Progress callback, called after every variant.
     """
     machine, paces = describe_machine(), []
-    jobs = episodes + workers  # each worker delivers one before the measurement
+    jobs = episodes + workers  # each worker delivers one bundle before the measurement
     plan = plan.model_copy(update={"scenes": (plan.scenes[0].model_copy(update={"episodes": jobs}),)})
     recordings = [RecordedBundle(sample.path) for sample in samples]
     steps = [recording.meta.rollout.num_steps for recording in recordings]
@@ -120,7 +120,7 @@ def _archive_copies(
 
 
 def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[RecordedBundle]) -> None:
-    """Creates a ledger whose jobs are those of the recordings, in turns."""
+    """Creates a ledger whose jobs repeat those of the recordings in turn."""
     root.mkdir()
     engine = open_writer(ledger_url_of(root))
     open_run(engine, plan, catalog, _LEASE_S, datetime.now(UTC), _planned(plan, recordings))

@@ -27,7 +27,7 @@ from schemas.protocol.messages import Beat, BeatReply, ClaimReply, Done, Lease
 
 _META = "meta.json"
 _BEAT_S, _HURRIED_S = 2.0, 0.5
-"""Pause between two heartbeats, and between those of a worker that waits for the coordinator, seconds."""
+"""Pause between two heartbeats: usually, and while the worker waits for the coordinator, seconds."""
 
 
 class RecordedBundle:
@@ -104,14 +104,14 @@ class DeliveringWorker(BenchWorker):
         while self._deliver_next():
             while len(self._waiting) >= self._at_once:
                 self._drop_archived(_HURRIED_S)
-            if 2 * len(self._waiting) >= self._at_once:  # as a worker does whose spool fills up
+            if 2 * len(self._waiting) >= self._at_once:  # like a worker whose spool fills up
                 self._drop_archived(_HURRIED_S, waits=False)
             else:
                 self._drop_archived(_BEAT_S, waits=False)
         self._wait_for_archive()
 
     def _deliver_next(self) -> bool:
-        """Claims a job and announces its bundle; returns whether there was one."""
+        """Claims a job and announces its bundle; returns whether there was a job."""
         reply = ClaimReply.model_validate_json(self.ask_for_work())
         if reply.job is None or reply.lease is None:
             return False
@@ -163,9 +163,9 @@ def deliver_copies(
     is_validated: bool,
     at_once: int,
 ) -> None:
-    """Delivers one bundle of each worker, sends their number, and delivers all others after a message.
+    """Delivers one bundle of each worker and sends the number of workers; after a message, delivers all other bundles.
 
-    Sends the wall time of the latter, seconds.
+    Then sends the wall time of the second part, seconds.
     """
     copies = BundleCopies([RecordedBundle(path) for path in paths], jobs)
     fleet = [DeliveringWorker(endpoints, run, copies, is_validated, at_once) for _ in range(members)]

@@ -27,7 +27,7 @@ class DeliveryPace(Model):
     pullers: int
     """Number of bundles that are transferred and validated at a time."""
     spot_checks: float | None
-    """Share of the bundles that is validated centrally although their worker has validated them; `None`: all are."""
+    """Share of bundles that the coordinator validates although their worker has; `None`: it validates all."""
     validated: int
     """Number of episodes that the coordinator validated completely."""
     seconds: float

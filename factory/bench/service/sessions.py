@@ -35,13 +35,13 @@ from schemas.storage.dataset_files import LEDGER_FILE
 
 _START = datetime(2026, 1, 1, tzinfo=UTC)
 _WINDOW_S = 0.02
-"""Virtual time whose requests are handled together, seconds; a commit on a disk takes about as long."""
+"""Window of virtual time whose requests are handled together, seconds; about the time of a commit on a disk."""
 _ARCHIVE_S = 1.0
 """Time from the announcement of a bundle to the archived episode, seconds."""
 _BEATS_PER_LEASE = 4
 _VERSION = "bench"
 _ARCHIVE = "archive"
-"""Name of the ledger's work for an archived episode, which is not a request."""
+"""Name under which the ledger's work for archived episodes is reported; it is not a request."""
 
 
 @dataclass(frozen=True)

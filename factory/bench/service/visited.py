@@ -30,7 +30,7 @@ from schemas.storage.dataset_files import META_FILE
 from schemas.support.child import python_module
 
 _EPISODES_PER_S = 20
-"""Number of planned episodes per second of a worker: more than it completes, so that the run does not end."""
+"""Planned episodes per worker and second: more than a worker completes, so that the run does not end."""
 _SLOW_CLIENTS = 100
 _VISIT_S = 10.0
 """Pause between two pages of a viewer, seconds."""

@@ -31,7 +31,7 @@ from schemas.errors import WorldError
 from schemas.plan import Plan
 
 _CYCLES = 5000
-"""Number of cycles of all workers in one run; fewer on a small ledger, because each cycle uses one job."""
+"""Total number of cycles of all workers in one run; fewer for a small ledger, because each cycle uses up one job."""
 _CYCLE_BUNDLE_BYTES = 1 << 20
 """Size of a bundle during the cycles, bytes: one chunk."""
 _WORKERS_PER_PROCESS = 500

@@ -22,7 +22,7 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 from workers.process.simulation import ProcessEnd, Simulation
 
 _WHOLE_EVERY = 41
-"""Interval of episodes that run to their end, after the first of each scene; a prime, so that all scenes occur."""
+"""Every n-th episode runs to its end, in addition to the first of each scene; n is prime, so that all scenes occur."""
 _STEPS = 5
 """Step limit of all other episodes."""
 _TENTH = 10
@@ -74,7 +74,7 @@ def bench_memory(
 
 
 class _SimulationUnderTest:
-    """Running simulation process; its end is an error."""
+    """Running simulation process; an error is raised if it exits."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation

@@ -109,7 +109,7 @@ def release(**options: Any) -> int:
 @tls_option
 @json_option
 def pause(**options: Any) -> None:
-    """Lease no further job until the run is resumed.
+    """Lease no more jobs until the run is resumed.
 
     Running jobs continue. The pause survives a restart of the coordinator.
     """

@@ -45,7 +45,7 @@ class _EpisodeCount(click.ParamType):  # type: ignore[type-arg]  # generic since
 )
 @workers_option(
     "Number of processes, used with --deep and --render",
-    unset="at most one per core, fewer if the work takes less time than their start",
+    unset="one per core, or fewer if starting them takes longer than the checks",
 )
 @json_option
 def command(**options: Any) -> int:

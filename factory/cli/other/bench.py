@@ -102,8 +102,8 @@ def rollout(**options: Any) -> None:
 def collect(**options: Any) -> None:
     """Measure whole runs: episodes per hour and CPU time per episode.
 
-    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: paper. Every combination of
-    --record and --expert is run, in turns; by default those of the plan.
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: paper. Runs every combination
+    of --record and --expert, in turns. Default: the recording and the expert of the plan.
     """
     from factory.commands.other.bench import collect
 

@@ -98,7 +98,8 @@ def print_language(found: LanguageStatistics) -> None:
     print_text(
         "\nAmong the objects of the category in view, or those that could be the target if\n"
         "it was drawn at the start, the target is the nearest, or has the largest mask;\n"
-        "chance: a random one of them is the target; others: their mean number"
+        "chance: a random one of these objects is the target; others: mean number of\n"
+        "these objects without the target"
     )
     body = [
         (

@@ -139,7 +139,7 @@ def draw_progress(progress: Progress) -> Group:
 
 
 def _describe_sandbox(layers: tuple[str, ...]) -> list[Text]:
-    """Returns what confined the validating processes, with a remedy where seccomp did not; empty before the first."""
+    """Returns the sandbox layers of the validating processes, and a remedy if seccomp is missing."""
     if not layers or SECCOMP in layers:
         return [Text(f"validator sandbox: {', '.join(layers)}")] if layers else []
     remedy = "install the extra `sandbox` and the system's libseccomp2 to add seccomp"

@@ -199,9 +199,9 @@ def show_coordinator(report: CoordinatorBench) -> None:
             deliveries.mb_per_s,
             f"{deliveries.seconds:.1f} s in total",
         ),
-        ("peak memory during this, MiB", deliveries.memory.peak_mib, ""),
+        ("peak memory during these deliveries, MiB", deliveries.memory.peak_mib, ""),
         (
-            "claim of another worker during this, p99 ms",
+            "claim of another worker meanwhile, p99 ms",
             deliveries.claim_p99_ms,
             f"p50 {deliveries.claim_p50_ms:.1f}, n {deliveries.claims}",
         ),

@@ -186,7 +186,7 @@ def _print_language(language: LanguageSpec, content: PlanSummary) -> None:
     fits = "the target only" if language.fit == "one" else "any of several objects"
     print_text(f"instructions fit {fits}; features: {', '.join(sorted(language.families))}")
     wanted = f", at least {language.in_view} in view at the start" if language.in_view else ""
-    wanted += ", which could be the target, too: it is drawn from them there" if language.exchangeable else ""
+    wanted += "; the target is drawn at the start" if language.exchangeable else ""
     listed = ", ".join(f"{others} ({count / content.episodes:.0%})" for others, count in content.distractors.items())
     print_text(f"other objects of the target's category in the scene, and share of the episodes: {listed}{wanted}")
 

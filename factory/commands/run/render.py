@@ -58,7 +58,7 @@ def execute(
 
 
 def _outputs(site: Site, rigs: tuple[str, ...]) -> list[tuple[str | None, Site]]:
-    """Returns the location of the dataset of each rig: --out for one, a folder in it with the name of each of several.
+    """Returns the location of the dataset of each rig: --out for a single rig, --out/NAME for several.
 
     Raises:
         UsageError: a rig does not exist, or two rigs have one name.
@@ -68,7 +68,7 @@ def _outputs(site: Site, rigs: tuple[str, ...]) -> list[tuple[str | None, Site]]
     names = [load_rig(rig, control_hz=None).name for rig in rigs]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise UsageError(f"--rig: two rigs are named {twice!r}; their datasets would be one: rename one in its file")
+        raise UsageError(f"--rig: two rigs are named {twice!r}, and so would be their datasets: rename one")
     return [(rig, site_of(site.place / name)) for rig, name in zip(rigs, names, strict=True)]
 
 

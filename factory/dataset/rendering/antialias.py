@@ -14,7 +14,7 @@ Value = TypeVar("Value", bound=np.generic)
 
 
 def shrink_frame(frame: RenderedFrame, block: int) -> RenderedFrame:
-    """Returns a frame of a `block`-th of the width and height; the frame itself if `block` is 1."""
+    """Returns a frame whose width and height are divided by `block`; the frame itself if `block` is 1."""
     if block == 1:
         return frame
     depth, ids = middle_of_blocks(frame.depth, block), middle_of_blocks(frame.ids, block)

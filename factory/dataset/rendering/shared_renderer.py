@@ -66,7 +66,7 @@ class SharedRenderer:
         self._warns, self._warned = _is_first_loader_worker(), set[str]()
 
     def render_once(self, view: View, recorded_with: str) -> RenderedFrame:
-        """Returns the frame of a view as `render`, but renders it only once in a row for a thread; do not change it."""
+        """Like `render`, but returns the last frame of this thread again if the view is the same; do not modify it."""
         last: tuple[View, RenderedFrame] | None = getattr(self._last, "frame", None)
         if last is None or last[0] != view:
             last = self._last.frame = view, self.render(view, recorded_with)
@@ -157,7 +157,7 @@ class SharedRenderer:
 
 
 def _is_first_loader_worker() -> bool:
-    """Whether this process is the first worker of a PyTorch DataLoader, or none: the others would log the same."""
+    """Returns whether this process logs warnings; in a PyTorch DataLoader, only the first worker does."""
     loading = sys.modules.get("torch.utils.data")
     worker = loading.get_worker_info() if loading else None
     return worker is None or worker.id == 0

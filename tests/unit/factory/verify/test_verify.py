@@ -180,7 +180,7 @@ def test_forged_description_is_found(data: Path) -> None:
     for text in (
         "dataset digest 0000",
         "4 episodes, metadata.parquet has 3",
-        "1 rows, dataset_meta",
+        "1 rows, but dataset_meta",
         "plan digest 1111",
     ):
         assert text in texts
