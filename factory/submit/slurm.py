@@ -32,7 +32,7 @@ drain() {
 trap 'requeue=yes; drain' USR1  # before the time limit: --signal of this script
 trap drain TERM INT             # scancel, or a preemption, after which Slurm queues the task again
 
-# run_task UNFINISHED COMMAND...: runs a command; queues the task again if SIGUSR1 ended the command with that status
+# run_task UNFINISHED COMMAND...: runs a command; queues the task again if it exits with UNFINISHED after SIGUSR1
 run_task() {
     unfinished=$1
     shift
