@@ -1,4 +1,4 @@
-"""Messages between workers and the coordinator. Every request is idempotent and contains the lease it refers to.
+"""Messages between workers and the coordinator. Every request is idempotent; a request about a job contains its lease.
 
 After a timeout or an empty reply the outcome is unknown, and the caller repeats the same message
 (docs/design/protocol.md#verbs).

@@ -54,8 +54,8 @@ def plan_path(
         target: target to reach.
         task: success measure and radius; the path ends inside the region by the arrival margin.
         config: margins and limits.
-        facing: whether the path ends with the target ahead, and has no turn on the spot inside the region, where a
-            robot that does not move ends the episode.
+        facing: whether the path ends with the target ahead, and has no turn on the spot inside or near the region: a
+            robot that does not move inside it ends the episode.
 
     Returns:
         The path, or `None` if none exists or the search reached its limit.
