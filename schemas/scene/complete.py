@@ -50,7 +50,7 @@ def complete_package(package: bytes, read: ReadTexture, known: Collection[str] =
 
 
 def split_package(file: BinaryIO) -> PackageParts:
-    """Returns the package in a complete package and its textures, none of which is decoded or compared with its digest.
+    """Splits a complete package into the package and its textures; decodes none and compares no digests.
 
     Raises:
         InvalidBundle: the file is damaged.

@@ -115,7 +115,7 @@ def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
 def children_of(pid: int) -> set[int]:
     """Returns the child processes of a process without its fork helper.
 
-    The helper is the oldest child of that name: a process has the name, too, while it forks its own helper.
+    The helper is the oldest child with the helper's name. Another child has this name while it forks its own helper.
     """
     found, helpers = set(), []
     for status in Path("/proc").glob("[0-9]*/stat"):

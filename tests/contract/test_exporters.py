@@ -248,7 +248,7 @@ def test_a_dry_run_reports_sizes_and_writes_nothing(
     estimate = estimate_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
     size = sum(map(len, contents(reference[name]).values()))
-    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # files written once count for every episode
+    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # it counts files that are written once for each episode
     assert estimate.episodes == EPISODES
     assert estimate.frames == read_manifest(reference[name]).frames  # type: ignore[union-attr]
     assert estimate.fits

@@ -108,7 +108,7 @@ def test_rendering_and_readback_are_timed_separately() -> None:
     assert found.frames_per_s.runs == 2
 
 
-# so that a frame left in a cycle of references counts as one
+# without garbage collection, a frame that only a cycle of references keeps is a leak that the test finds
 WITHOUT_GC = "import gc, runpy; gc.disable(); runpy.run_module('workers.sim.simulate', run_name='__main__')"
 COMMAND = (sys.executable, "-c", WITHOUT_GC, "--renderer", "gl")
 

@@ -220,7 +220,8 @@ def _signal_all(pids: Iterable[int], number: int) -> None:
 def _task_processes(text: str) -> list[int]:
     """Returns the processes of the tasks whose scripts are below a folder.
 
-    The step daemons are first: one that survives its script for a moment reports the end of the task.
+    The step daemons are first, because they must be killed first: a step daemon that survives its script for a moment
+    reports the end of the task.
     """
     parents: dict[int, int] = {}
     scripts: set[int] = set()

@@ -103,7 +103,7 @@ def _mean(light: Singles) -> float:
 
 
 def _encode(light: Singles, exposure: float) -> NDArray[np.uint8]:
-    """Returns the codes of light; a table over its square root has sixteen steps or more for each code."""
+    """Returns the 8-bit codes of light, from a table whose index is proportional to the square root of the light."""
     steps = np.sqrt(np.minimum(light * np.float32(exposure / _WHITE), np.float32(1.0)))
     return np.asarray(_codes_of_steps()[(steps * np.float32(_STEPS) + np.float32(0.5)).astype(np.int32)], np.uint8)
 

@@ -46,7 +46,7 @@ class Terrain:
         return np.asarray(on_floor.astype(bool) & self.grid.are_poses_free(x, y, yaw, margin_m))
 
     def can_start(self, points: Floats, yaw: ArrayLike) -> Bools:
-        """Returns for base_link points (N, 2) whether it fits with the spawn margin and outside all boxes."""
+        """Returns for base_link points (N, 2) whether the robot fits there with the spawn margin, outside all boxes."""
         fits = self.fits(points[:, 0], points[:, 1], yaw, self.config.margin_m)
         return np.asarray(fits & ~are_within(points, self.taken))
 

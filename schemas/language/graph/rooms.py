@@ -202,7 +202,8 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
 
 
 def _gaps(walls: CellGrid, points: Floats, ways: Floats, reach: Floats) -> Floats:
-    """Returns (N, D) distances from points to the first wall in each direction, beyond the reach of the objects."""
+    """Returns (N, D) distances to the first wall in each direction, metres, from the edges of objects, which are at
+    distances `reach` (N, D) from their points (N, 2)."""
     steps = np.arange(0.0, _FAR_M, walls.resolution_m / 2)
     gaps = np.full(reach.shape, _FAR_M)
     for direction, way in enumerate(ways):
