@@ -173,7 +173,7 @@ class EpisodeMeta(Model):
     def with_frames(
         self, job: Job, steps_visible: int, instances: tuple[Instance, ...], appearance: DrawnAppearance | None = None
     ) -> EpisodeMeta:
-        """Returns the metadata of the frames recording of this episode, still with the digests of this recording.
+        """Returns the metadata for a frames recording of this episode; the digests are those of the states recording.
 
         Args:
             job: job of the frames recording.

@@ -279,7 +279,7 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> Pull:
     if row.tier == BUILD:
         build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
-        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # the coordinator needs it, not a gateway
+        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # by the coordinator, never by a gateway
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     candidates = candidates_of(job, terms.catalog[job.scene].info)
     return Pull(lease_of(row), sid, row.sha256, row.size, job, candidates, via, is_validated)

@@ -74,7 +74,7 @@ def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uin
     if bool((lines[:, 0] == _SUB).all()):
         rows = _unfilter_sub(rows, depth)
     elif bool(lines[:, 0].any()):
-        raise InvalidBundle("image refused", [f"{name}: a row filter other than None or Sub throughout"])
+        raise InvalidBundle("image refused", [f"{name}: a row filter other than None for all rows or Sub for all rows"])
     pixels = np.ascontiguousarray(rows).reshape(height, width, depth)
     return pixels.view(">u2")[..., 0].astype(np.uint16) if is_grey else pixels
 

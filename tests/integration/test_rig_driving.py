@@ -116,6 +116,8 @@ def test_inputs_are_those_of_the_rig_or_of_the_recorded_camera() -> None:
     require_inputs("looks", Looks(), None, camera)
     require_inputs("looks", Looks(), paper_rig(), camera)
     require_inputs("scans", Scans(), small_rig(), camera)
-    with pytest.raises(UsageError, match=r"scan/ranges, which the recorded camera does not provide.*give --rig RIG with"):
+    with pytest.raises(
+        UsageError, match=r"scan/ranges, which the recorded camera does not provide.*give --rig RIG with"
+    ):
         require_inputs("scans", Scans(), None, camera)
     assert not shows_recorded_camera(paper_rig(), camera.model_copy(update={"fov_deg": 60.0}))

@@ -143,7 +143,7 @@ def _on_sides(rays: Floats, sides: NDArray[np.int8]) -> Floats:
 
 
 def _sharpest(rays: Floats) -> float:
-    """Returns the smallest number of pixels per radian along rows or along columns, whichever is larger."""
+    """Returns the larger one of the lowest resolutions along rows and along columns, pixels per radian."""
     steps = [np.linalg.norm(np.diff(rays, axis=axis), axis=-1) for axis in (0, 1)]
     return float(1 / min(np.nanmax(step) for step in steps))
 

@@ -69,7 +69,10 @@ class NoiseKey:
         return self.stream(effect, step)(shape)
 
     def stream(self, effect: Effect, step: int = 0) -> Callable[[int | tuple[int, ...]], NDArray[np.uint16]]:
-        """Returns a function that returns the numbers of `bits` in parts, all but the last of a multiple of 4."""
+        """Returns a function that returns the numbers of `bits` in parts.
+
+        The size of each part except the last must be a multiple of 4.
+        """
         philox = np.random.Philox(key=_philox_key(self), counter=(0, 0, int(effect), step))
 
         def draw(shape: int | tuple[int, ...]) -> NDArray[np.uint16]:

@@ -21,7 +21,7 @@ FOLDERS_TEXT = """\
 
 
 def write_sensors(reader: SensorReader, steps: int, folder: Path) -> None:
-    """Writes `<folder>/<sensor>/` for each sensor of the rig of an episode with some steps."""
+    """Writes `<folder>/<sensor>/` for each sensor of the rig, for an episode of `steps` steps."""
     for name, motion in reader.motion.items():
         for array, values in arrays_of(motion).items():
             _write(folder / name / f"{array}.npy", encode_npy(values))

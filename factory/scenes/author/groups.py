@@ -29,7 +29,7 @@ def workplace(own: Furnisher, desk: PropPlacement | None, chair: int, is_second:
 
     Args:
         own: room of the desk.
-        desk: desk, or `None` for nothing to do.
+        desk: desk; with `None`, nothing is added.
         chair: variant of the chair.
         is_second: whether the desk may have a second screen.
     """
@@ -140,7 +140,7 @@ def kitchen_row(own: Furnisher, sides: str, look: int, names: Sequence[str], top
 
 def enter(rooms: Sequence[Furnisher], kinds: Sequence[str], variant: int) -> bool:
     """Hangs a closed door to the outside into an outer wall of the first room with space for it, with a sign above it,
-    and keeps the floor before it clear; returns whether a room has one.
+    and keeps the floor before it clear; returns whether a room had the space.
 
     Args:
         rooms: rooms of the building.

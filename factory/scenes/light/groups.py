@@ -126,7 +126,7 @@ def _extremes(values: Floats, chart: Ints, count: int) -> tuple[Floats, Floats]:
 
 
 def _glow(scene: CompiledScene, charts: Charts, cell: tuple[Ints, Ints], chart: Ints) -> Floats:
-    """Returns (C,) the luminance of the charts that emit light: those of which every texel has full light."""
+    """Returns (C,) the luminance of the charts that emit light, which are those whose texels all have full light."""
     is_full = (scene.light_map[cell] == _FULL).all(axis=1)
     emits = np.ones(len(charts.area), bool)
     emits[chart[~is_full]] = False

@@ -307,7 +307,8 @@ class RouteSearch:
     def _arrival(self, start: int, end: int, left_m: float) -> list[SpannedStep]:
         """Returns the last step, or a step straight on and a last step that begins nearer to the target.
 
-        The first place from which words fit only the target decides; empty if there is none.
+        The last step begins at the first tried place from which some words fit only the target; without such a place,
+        the result is empty.
         """
         stop = self._stop(start, end)
         if stop is not None:

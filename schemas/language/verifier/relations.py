@@ -134,7 +134,7 @@ class ObjectRelations:
         return min(found, Truth.MAYBE) if self._graph.walled[first, second] else found
 
     def is_near_enough(self, number: int, other: int, way: Selected) -> Truth:
-        """Returns whether an object may be called the nearest to another one; any may be called the farthest."""
+        """Returns whether an object may be called the nearest to another one; `YES` if `way` means the farthest."""
         if way is Selected.MOST:
             return Truth.YES
         is_far = self._same_room(number, other) is Truth.NO or self._graph.walled[number, other]

@@ -234,7 +234,10 @@ def _crate_shell(is_topmost: bool) -> list[AuthoredMesh]:
 
 
 def _rail(low: float, high: float, has_inside: bool = False) -> AuthoredMesh:
-    """A rail 2 cm thick around the crate between two heights; ledges, or its inside, extend to the filling."""
+    """A rail around the crate between two heights, with a ledge to the filling at its lower and its upper edge.
+
+    The rail is 2 cm thick. With `has_inside`, its inner face replaces the upper ledge.
+    """
     inside = [(0.02, high), (0.05, low - 0.04)] if has_inside else [(0.035, high)]
     outlines = [(0.30 - inset, 0.20 - inset, z) for inset, z in [(0.035, low), (0.0, low), (0.0, high), *inside]]
     return uncapped(loft(np.array([[(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)] for x, y, z in outlines])))
