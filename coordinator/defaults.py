@@ -1,4 +1,4 @@
-"""Defaults of the coordinator that its command line shows. Imports nothing, so that a help page is cheap."""
+"""Defaults of the coordinator that its command line shows. Imports nothing, so that help pages are shown fast."""
 
 from __future__ import annotations
 

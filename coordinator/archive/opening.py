@@ -16,7 +16,7 @@ def open_archive(root: Path, store: ObjectPath | None = None, *, take_over: bool
     Args:
         root: dataset directory, or with `store` the state directory; created if it does not exist.
         store: root of the dataset in object storage; `None` for a dataset in a directory.
-        take_over: whether to take a dataset in object storage over from the state directory that holds it.
+        take_over: whether to take over a dataset in object storage from the state directory that holds it.
 
     Raises:
         WorldError: the directory or the store cannot be written, or another coordinator holds the dataset.

@@ -74,7 +74,8 @@ def faults_of(cells: SceneCells, place: str) -> Iterator[str]:
     for (split, tier), count in cells.quota.items():
         lacking = exact.get((split, tier), {}).keys() - {target.category for target in cells.pool(split, tier)}
         if lacking and cells.pool(split, tier):
-            yield f"{place}: cell {split} / {tier} has no startable {', '.join(sorted(lacking))}, which its quota needs"
+            names = ", ".join(sorted(lacking))
+            yield f"{place}: cell {split} / {tier} has no start for the categories {names}, which its quota needs"
         if named[split] & cells.present and not cells.pool(split, tier):
             yield (
                 f"{place}: cell {split} / {tier} ({count} episodes) has no target that the "

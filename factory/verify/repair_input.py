@@ -76,7 +76,7 @@ def _settle_plan(
 ) -> tuple[_Record | None, str]:
     """Returns the record of the run, and the reason why the ledger belongs to another run, if it does.
 
-    Ledger, `dataset_meta.json` and user can name different plans; the plan of most episodes decides.
+    The ledger, `dataset_meta.json` and the user can name different plans; the plan of most episodes is used.
     """
     records = [record for record in (noted, described) if record is not None]
     if plan is not None and all(record.plan.digest != plan.digest for record in records):

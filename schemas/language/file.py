@@ -90,8 +90,8 @@ class LanguageSpec(Model):
     in_view: Count = 0
     """Smallest number of other objects of the category in view with the target at the start; 0 sets no condition."""
     balanced: bool = False
-    """Whether starts in a plan are drawn until the target is as often the nearest and the most central object of its
-    category in view as a random one; needs `in_view`."""
+    """Whether starts in a plan are selected so that the target is the nearest, and the most central, object of its
+    category in view only as often as by chance; needs `in_view`."""
     exchangeable: bool = Field(default=False, exclude_if=lambda it: not it)
     """Whether the target of an episode in a plan is drawn at its start, from the objects of its category that could be
     the target there; `in_view` counts these objects. Omitted if false."""

@@ -40,9 +40,9 @@ BETWEEN_ACROSS = Band(0.2, 0.45)
 BETWEEN_SPAN_M = Band(5.0, 7.0)
 """Distance between the landmarks for `between`, metres."""
 LEVEL_M = 1.0
-"""Difference in height of the lower sides from which horizontal relations do not hold, metres."""
+"""Horizontal relations do not hold between objects whose lower sides differ in height by this or more, metres."""
 SAME_BASE_M = 0.5
-"""Difference in height of the lower sides from which heights are not compared, and objects are not surely in front of
+"""Objects whose lower sides differ in height by this or more are not compared by height, and are not surely in front of
 or behind each other, metres."""
 TOUCH_M = Band(0.15, 0.3)
 """Vertical gap for `on`, and gap to the wall for `on_wall`, metres; 0.15 is `max_touch_distance` of Sr3D."""

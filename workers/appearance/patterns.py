@@ -31,7 +31,7 @@ def draw_pattern(name: str) -> NDArray[np.uint8]:
 
 
 def _hash(a: Ints, b: Ints, seed: int) -> Floats:
-    """Returns numbers 0..1 for pairs of whole numbers (an integer hash of Wang's kind)."""
+    """Returns numbers 0..1 for pairs of whole numbers (an integer hash like Wang's)."""
     x = (a.astype(np.uint64) * np.uint64(0x9E3779B1) + b.astype(np.uint64) * np.uint64(0x85EBCA77)) + np.uint64(seed)
     for factor, shift in ((0x7FEB352D, 15), (0x846CA68B, 16)):
         x = ((x ^ (x >> np.uint64(shift))) * np.uint64(factor)) & np.uint64(0xFFFFFFFF)

@@ -165,8 +165,8 @@ def _find_run(
 ) -> HelloReply | None:
     """Waits for the reply of a run until `wait_s` is over; returns `None` if the worker is stopped or the run finished.
 
-    After the evaluation with the name `settled`, the worker returns to the collection that the evaluation interrupted,
-    or gets `None` if there is no such collection.
+    `settled` is the name of the evaluation that has just ended, if any. Its run is ignored. If no other run replies,
+    the result is `None` at once.
     """
     hello, pause, started = make_hello(sid, name, settings.cores), Backoff(0.2, 2.0), time.monotonic()
     is_open = False

@@ -112,7 +112,7 @@ class GlRenderer(Closing):
         self._sky = SkyPainter(self._scene.sky)
 
     def make_room(self) -> None:
-        """Frees the prepared scenes that the next new scene replaces; see `Renderer`."""
+        """Frees prepared scenes in advance, so that the next scene fits; see `Renderer`."""
         self._require_own_process()
         with self._context:
             self._shelf.make_room()

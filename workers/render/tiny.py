@@ -72,7 +72,7 @@ class TinyRenderer(Closing):
         self._sky = SkyPainter(self._scene.sky)
 
     def make_room(self) -> None:
-        """Frees the prepared scenes that the next new scene replaces; see `Renderer`."""
+        """Frees prepared scenes in advance, so that the next scene fits; see `Renderer`."""
         self._shelf.make_room()
         if not self._shelf.keys:  # the selected scene was used last, so it is freed only if all are
             self._scene = None

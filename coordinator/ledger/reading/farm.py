@@ -75,7 +75,7 @@ class Interval:
     """Attempts that ended in an interval of time."""
 
     begin: datetime
-    """Begin of the interval, UTC."""
+    """Start of the interval, UTC."""
     end: datetime
     """End of the interval, UTC."""
     archived: int

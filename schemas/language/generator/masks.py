@@ -24,7 +24,7 @@ class Masks(NamedTuple):
         return Masks(self.sure & other.sure, self.possible & other.possible)
 
     def of_any(self, landmarks: Described) -> Masks:
-        """Returns which objects have the relation of (N, N) masks to any of the landmarks."""
+        """Returns which objects have a relation to any of the landmarks; `self` has its (N, N) masks, by landmark."""
         sure = np.asarray(self.sure[landmarks.sure].any(axis=0), bool)
         return Masks(sure, np.asarray(self.possible[landmarks.possible].any(axis=0), bool))
 

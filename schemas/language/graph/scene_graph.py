@@ -64,7 +64,7 @@ class SceneObject:
     looks: str | None = None
     """Kind that its prim names, if it differs from `kind` and a viewer may see the object as that kind."""
     shows: tuple[str, ...] = ()
-    """Kinds for which a viewer may take a part of it, such as the screen of a till."""
+    """Kinds of objects that a viewer may see in a part of it, such as a monitor in the screen of a till."""
     area: int = 0
     """Number of the part of its room, which wide openings divide; 0 if unknown."""
     materials: tuple[str, ...] = ()

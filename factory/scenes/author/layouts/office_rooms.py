@@ -142,7 +142,7 @@ def _on_table(own: Furnisher, table: PropPlacement) -> None:
 
 
 def _private(own: Furnisher) -> None:
-    """One desk at a wall or free before it, a seat for visitors, a cabinet, shelves and pictures."""
+    """One desk at a wall or some distance in front of it, a seat for visitors, a cabinet, shelves and pictures."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     chair = plan.pick(5)
     front = own.sides()[plan.pick(2)]
