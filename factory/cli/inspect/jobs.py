@@ -138,7 +138,7 @@ def resume(**options: Any) -> None:
 def drain(**options: Any) -> None:
     """Let every worker finish its current jobs and exit.
 
-    So do workers that are started later, until the coordinator is restarted.
+    Workers that are started later exit, too, until the coordinator is restarted.
     """
     from factory.commands.inspect.jobs import drain
 

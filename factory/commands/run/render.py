@@ -68,7 +68,7 @@ def _outputs(site: Site, rigs: tuple[str, ...]) -> list[tuple[str | None, Site]]
     names = [load_rig(rig, control_hz=None).name for rig in rigs]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise UsageError(f"--rig: two rigs are named {twice!r}, and so would be their datasets: rename one")
+        raise UsageError(f"--rig: two rigs are named {twice!r}, so their datasets would have the same name: rename one")
     return [(rig, site_of(site.place / name)) for rig, name in zip(rigs, names, strict=True)]
 
 
