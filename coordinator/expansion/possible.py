@@ -52,7 +52,7 @@ def faults_of(cells: SceneCells, place: str) -> Iterator[str]:
 
     Args:
         cells: cells of the scene.
-        place: start of each line.
+        place: text with which each line begins.
     """
     scene, entry = cells.scene, cells.entry
     success = cells.plan.task.success

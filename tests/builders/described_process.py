@@ -31,7 +31,7 @@ def describe() -> dict[str, Any]:
 
 
 def handlers() -> list[str]:
-    """Returns the handlers of the signals that end a command; a new process inherits that it ignores one."""
+    """Returns the handlers of SIGINT and SIGTERM. A new process inherits the setting that a signal is ignored."""
     return [str(signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
 
 

@@ -163,9 +163,9 @@ def deliver_copies(
     is_validated: bool,
     at_once: int,
 ) -> None:
-    """Delivers one bundle of each worker and sends the number of workers; after a message, delivers all other bundles.
+    """Delivers one bundle of each worker and sends the number of workers through the pipe.
 
-    Then sends the wall time of the second part, seconds.
+    After a message from the pipe, delivers all other bundles and sends the wall time of this, seconds.
     """
     copies = BundleCopies([RecordedBundle(path) for path in paths], jobs)
     fleet = [DeliveringWorker(endpoints, run, copies, is_validated, at_once) for _ in range(members)]

@@ -13,7 +13,7 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 _FLAT_M, _FLAT_SHARE, _UPRIGHT = 0.02, 0.6, 0.98
 """A top is flat if faces within this height of it, whose normals point up, cover this share of the footprint."""
 _ABOVE_M = 0.6
-"""Height of the space above a top that is empty if the top is, metres."""
+"""Height of the space above a top, metres. A top is empty only if no other instance reaches into this space."""
 _EDGE_M = 0.03
 """Width at the edge of a top that is not examined, because walls and other furniture touch it, metres."""
 
