@@ -123,7 +123,7 @@ def author_scene(scene: BuiltinScene, seed: int, directory: Path) -> Path:
         Path of the root layer.
 
     Raises:
-        WorldError: the seed has no layout; another seed has one.
+        WorldError: the seed has no valid layout; another seed may have one.
     """
     from factory.scenes.author.usd_writer import write_scene  # 200 MB of USD, only when a scene is written
 
@@ -138,7 +138,7 @@ def author_content(scene: BuiltinScene, seed: int) -> Extraction:
         seed: non-negative; the same (scene, seed) gives the same geometry and texture pixels.
 
     Raises:
-        WorldError: the seed has no layout; another seed has one.
+        WorldError: the seed has no valid layout; another seed may have one.
     """
     plan = lay_out_scene(scene, seed)
     from factory.scenes.author.content import content_of  # only when a scene is compiled
@@ -151,7 +151,7 @@ def lay_out_scene(scene: BuiltinScene, seed: int) -> FloorPlan:
     of each category and a way for the robot to every room.
 
     Raises:
-        WorldError: the seed has no such plan; another seed has one.
+        WorldError: none of the random plans is valid; another seed may have a valid plan.
     """
     faults: list[str] = []
     for draw in range(scene.first_draw, scene.first_draw + _DRAWS):

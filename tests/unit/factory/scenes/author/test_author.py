@@ -18,6 +18,7 @@ from factory.scenes.author import (
     AUTHOR_VERSION,
     BUILTIN_SCENES,
     PAPER_LAYOUTS,
+    BuiltinScene,
     author_content,
     author_scene,
     lay_out_scene,
@@ -29,6 +30,7 @@ from factory.scenes.author.placement import FloorPlan
 from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
 from factory.scenes.importer import TextureRecipe
 from factory.scenes.rules import builtin_rules
+from schemas.errors import WorldError
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
 from tests.builders.layouts import Layouts
 
@@ -114,6 +116,15 @@ def test_scene_stays_below_its_triangle_budget(name: str, layouts: Layouts) -> N
     pieces = [piece for structure in plan.structures for piece in structure.pieces]
     pieces += [piece for placement in plan.placements for piece in placement.model.pieces]
     assert sum(triangle_count(piece.mesh) for piece in pieces) < 62_000
+
+
+def test_seed_without_a_valid_plan_names_the_last_fault_and_the_remedy() -> None:
+    def lay_out(_plan: FloorPlan) -> None:
+        raise WorldError("room for only 2 racks")
+
+    scene = BuiltinScene("full_warehouse", "hall without a valid plan", lay_out)
+    with pytest.raises(WorldError, match=r"none of 8 random.*room for only 2 racks; use another seed"):
+        lay_out_scene(scene, 0)
 
 
 def test_seeds_give_different_layouts(layouts: Layouts) -> None:
