@@ -47,6 +47,16 @@ def test_a_language_block_that_a_plan_does_not_support_is_named(data, fault):
         parse_plan({"name": "x", "scenes": [{"name": "office", "episodes": 4}], **data}, "x.toml")
 
 
+def test_each_mistake_of_a_plan_is_one_line_of_the_error():
+    data = {"name": "x", "scenes": [{"name": "office", "episodes": 4}]}
+    with pytest.raises(InvalidPlan) as caught:
+        parse_plan({**data, "language": {"per_episode": 2, "false_premises": 0.1}}, "x.toml")
+    assert [line.split(":")[0] for line in str(caught.value).splitlines()[1:]] == [
+        "  - language.per_episode",
+        "  - language.false_premises",
+    ]
+
+
 def test_a_plan_without_a_language_block_has_its_former_digest():
     assert "language" not in BUILTIN_PLANS["paper"].model_dump(mode="json")
     assert "language" in plan_to_toml(BUILTIN_PLANS["referring"])

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from schemas.appearance import LampLight, LightMix
+from schemas.appearance.drawn import DrawnAppearance
 from schemas.appearance.light_groups import SCREENS, decode_light_groups, encode_light_groups
-from schemas.errors import InvalidBundle
+from schemas.errors import InvalidBundle, WorldError
 from tests.builders.lit import lit_room, room_light
+from workers.appearance.apply import apply_appearance
 from workers.appearance.relight import LAMP_K, SKY_K, expose, gain_of, mix_light
 
 
@@ -76,3 +78,13 @@ def test_the_file_of_light_groups_reads_back_and_refuses_other_shares() -> None:
     broken = type(light)(light.info, light.shares // 2)
     with pytest.raises(InvalidBundle, match="do not add up to 255"):
         decode_light_groups(io.BytesIO(encode_light_groups(broken)))
+
+
+def test_missing_light_groups_and_those_of_another_scene_have_an_error_with_the_remedy() -> None:
+    drawn = DrawnAppearance(name="varied", episode=1, light=mix(1.0))
+    with pytest.raises(WorldError, match=r"has no light groups.*run `factory scene light "):
+        apply_appearance(lit_room(), None, drawn)
+    with pytest.raises(
+        WorldError, match=r"has 4 light groups, the appearance has 2: the appearance is of another scene"
+    ):
+        apply_appearance(lit_room(), room_light(), drawn)
