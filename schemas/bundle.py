@@ -39,11 +39,12 @@ _MAX_META_BYTES = 4 << 20
 
 
 _STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
-"""Number of members of a states recording: the arrays and `meta.json`. In other bundles they are the last ones."""
+"""Number of members of a states recording: arrays and `meta.json`. They are also the last members of other bundles."""
 
 
 def encode_depth(depth: NDArray[np.float32]) -> bytes:
-    """Returns a depth image as a bundle stores it, without a checksum: the container has a CRC, the frame a digest."""
+    """Returns a depth image as a bundle stores it; without a checksum, because the container has a CRC and the frame a
+    digest."""
     return encode_npy_zst(depth, checksum=False)
 
 
@@ -56,7 +57,7 @@ def member_names(frames: int, of_rig: Iterable[str] = ()) -> tuple[str, ...]:
 
     Args:
         frames: number of stored frames.
-        of_rig: names of the members of its rig.
+        of_rig: names of the members with the measurements of a rig.
     """
     of_frames = (name for t in range(frames) for name in _frame_names(t))
     return (*of_frames, *of_rig, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
@@ -284,9 +285,9 @@ class BundleReader(Closing):
 def _keep_freed_memory() -> None:
     """Raises glibc's thresholds for returning freed memory to the kernel (mallopt(3), M_MMAP_THRESHOLD).
 
-    Freeing a block of this size lets glibc keep up to twice as much freed memory. Otherwise glibc may return the pages
-    of every frame to the kernel, and the next frame causes 900 to 1300 page faults, a quarter of the decoding time of
-    a frame. The pages of the block itself are never accessed.
+    After a block of `_KEPT_FREE_BYTES` was freed, glibc keeps up to twice as much freed memory. Otherwise glibc may
+    return the pages of every frame to the kernel, and the next frame causes 900 to 1300 page faults, which take a
+    quarter of the decoding time of a frame. The pages of the block itself are never accessed.
     """
     np.empty(_KEPT_FREE_BYTES, np.uint8)
 

@@ -23,8 +23,8 @@ class TaskConfig(Model):
     success: SuccessMeasure = Field(
         default=SuccessMeasure.CENTROID, exclude_if=lambda it: it is SuccessMeasure.CENTROID
     )
-    """Measure of the distance to the target; omitted if `centroid`, the only measure of the first versions. A plan
-    file without this key has `surface`."""
+    """Measure of the distance to the target; omitted if `centroid`, the only measure of the first versions. The
+    default of a plan file is `surface`."""
     success_radius_m: Positive = 1.0
     """Largest planar distance of base_link from the target in a success, by the success measure, metres."""
     hold_steps: Annotated[int, Field(ge=1, le=1000)] = 5
@@ -108,7 +108,7 @@ class SpawnConfig(Model):
     heading_noise_rad: NonNegative = 0.4363323129985824
     """Largest heading offset from the direction to the target in the near and mid tiers, radians; 25 degrees."""
     physics_draws: Annotated[int, Field(ge=1, le=64)] = 8
-    """Largest number of start poses that an attempt tests in physics; after that its spawn has failed."""
+    """Largest number of start poses that an attempt tests in physics before it fails with the reason `spawn`."""
     grid_draws: Annotated[int, Field(ge=1, le=10000)] = 400
     """Largest number of distances (far tier: surveyed points) that a draw tests on the occupancy grid."""
     warmup_steps: Annotated[int, Field(ge=1, le=10_000)] = 3

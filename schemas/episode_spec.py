@@ -37,7 +37,7 @@ class EpisodeSpec(Model):
 
     @staticmethod
     def of(source: object, **changes: object) -> EpisodeSpec:
-        """Returns the spec of an object that has these eight attributes: a job, an evaluation spec, a ledger's row.
+        """Returns the spec of an object with these eight attributes, such as a job, an evaluation spec or a ledger row.
 
         Args:
             source: object with the values.

@@ -1,4 +1,4 @@
-"""Finds the objects that could be the target of an episode: the image at its start does not show which one it is.
+"""Finds the objects that could be the target of an episode, as far as the image at its start shows.
 
 The worker draws the target from these objects; validation and statistics find the objects again. Pure functions; they
 read no file.

@@ -90,7 +90,7 @@ class Job(EpisodeSpec):
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
     """Content that the episode stores; omitted for frames, so that older digests stay valid."""
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
-    """Settings of rendering; omitted if they are the default, as in every states recording."""
+    """Rendering settings; omitted if they are the default, as in every states recording."""
 
     @property
     def episode_id(self) -> str:

@@ -1,8 +1,8 @@
 """Distributes the episodes of a family over its layouts, from the plan only: the layouts need not be built.
 
 The family has an exact quota of episodes for each cell of split x tier. The episodes are distributed over the layouts
-in turn, so that two layouts of one kind differ by at most one episode, in total and in each cell. The last layouts
-belong to the unseen-scene splits. Pure functions.
+in turn, so that two layouts of one kind differ by at most one episode, in total and in each cell. The two kinds are the
+layouts of the unseen-scene splits, which are the last ones, and all others. Pure functions.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ Cells = dict[Cell, int]
 
 
 class LayoutPlan(ScenePlan):
-    """Entry of one layout of a family, which takes the place of the entry of the family; never written to a file."""
+    """Entry of one layout of a family. These entries replace the entry of the family; they are not written to files."""
 
     family: ScenePlan = Field(exclude=True)
     """Entry of the family."""
     places: Mapping[Cell, InstanceOf[range]] = Field(exclude=True)
-    """Places of its episodes, by cell, in the family's sequence of episodes with seen or with held-out categories."""
+    """Positions of its episodes, by cell, in one of two sequences of the family: the episodes with seen categories, or
+    those with held-out categories."""
 
     @property
     def quota(self) -> Cells:
@@ -122,11 +123,11 @@ def layout_mistakes(scene: ScenePlan, splits: Mapping[Split, float]) -> Iterator
     if scene.layouts is None or not has_unseen:
         is_layout = layout_number(scene.name) is not None
         if has_unseen and is_layout and not all(split.is_unseen_scene for split, share in splits.items() if share > 0):
-            yield "one layout has either the splits test_unseen_scene* or others: set the shares of one kind to 0"
+            yield "one layout cannot have the splits test_unseen_scene* and others: set the shares of one kind to 0"
         if has_unseen and not is_layout:
             yield "the splits test_unseen_scene* need `layouts`: set their shares of this scene to 0"
         if scene.unseen_layouts is not None:
-            yield "`unseen_layouts` is for the splits test_unseen_scene*, whose shares are 0"
+            yield "`unseen_layouts` has no use, because the shares of the splits test_unseen_scene* are 0: remove it"
         return
     unseen = unseen_layouts(scene, splits)
     unseen_episodes = _unseen_episodes(splits, scene.episodes)

@@ -92,7 +92,8 @@ class Plan(Model):
     """Ranges of the appearance of the frames of a recording of frames, and default appearance of readers of a recording
     of states; null and omitted for none."""
     colors: Literal["on", "off"] = "on"
-    """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
+    """Whether instructions may name colours; with `off`, as in the published data, every colour is unknown and no
+    template names a colour."""
     balance: Literal["instances", "categories", "categories_overall"] = "instances"
     """Even choice over the target instances (as in the paper), over the categories of each scene first, or over the
     categories of all scenes first."""
@@ -180,7 +181,7 @@ class Plan(Model):
 
     @property
     def screening(self) -> str:
-        """Selection of the starts, followed by the scenes with another selection: `none, office sight`."""
+        """Selection of the starts, followed by the scenes with another selection, such as `none, office sight`."""
         others = [f"{scene.name} {scene.screening}" for scene in self.scenes if scene.screening]
         return ", ".join([self.spawn.screening, *others])
 
@@ -194,7 +195,7 @@ class Plan(Model):
 
     @property
     def view(self) -> ViewSettings:
-        """Settings of rendering of the episodes."""
+        """Rendering settings of the episodes."""
         return ViewSettings(rig=self.rig, appearance=self.appearance)
 
     @property
@@ -232,12 +233,12 @@ class Plan(Model):
     @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the plan; plans with equal digests describe the same dataset."""
-        # cached, because every claimed job needs it; parsed again, so that 1 and 1.0 give one digest
+        # cached, because every claimed job needs it; the JSON is parsed again, so that 1 and 1.0 give one digest
         text = canonical_json(Plan.model_validate_json(self.model_dump_json()))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Returns a copy with other values, without cached values."""
+        """Returns a copy with changed values, which does not contain the cached values of the original."""
         copy = super().model_copy(update=update, deep=deep)
         for name in ("digest", "parts", "spans", "_parts_by_name"):
             copy.__dict__.pop(name, None)
@@ -257,7 +258,7 @@ def _language_faults(plan: Plan, language: LanguageSpec) -> list[str]:
     if language.false_premises:
         found.append("language.false_premises: a plan has a split for them, set splits.test_false_premise")
     if plan.instructions.unique != "off":
-        found.append("instructions.unique is for templates, remove it: `language` has `fit`")
+        found.append("instructions.unique is for templates, remove it; use `language.fit` instead")
     if language.exchangeable:
         found += _exchange_faults(plan)
     return found

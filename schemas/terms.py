@@ -20,14 +20,14 @@ class Tier(StrEnum):
 
 
 class SuccessMeasure(StrEnum):
-    """Distance from base_link to the target by which a start has its tier and an episode succeeds."""
+    """Measure of the distance from base_link to the target, for the tier of a start and the success of an episode."""
 
     CENTROID = "centroid"  # planar distance to the target's centroid, as in the paper
     SURFACE = "surface"  # planar distance to the target's footprint, as in ObjectNav (docs/design/task.md#distances)
 
 
 TIER_RANGE_M = MappingProxyType({Tier.NEAR: (1.5, 3.5), Tier.MID: (3.5, 7.0)})
-"""Spawn distance ranges in metres, planar, by the success measure; `far` has a range along the floor."""
+"""Ranges of the planar spawn distance by the success measure, metres; `far` has a range along the floor instead."""
 FAR_FLOOR_M = (5.0, 11.0)
 """Default range of the distance along the floor from a start in the far tier to the target, metres."""
 
@@ -36,18 +36,18 @@ class Split(StrEnum):
     """Split of the dataset that an episode belongs to (paper Sec. IV-B)."""
 
     TRAIN_ID = "train_id"  # seen categories, training templates
-    VAL_ID = "val_id"  # the same, for validation
-    TEST_ID = "test_id"  # the same, held out for testing
+    VAL_ID = "val_id"  # as `train_id`, for validation
+    TEST_ID = "test_id"  # as `train_id`, held out for testing
     TEST_PARAPHRASE_OOD = "test_paraphrase_ood"  # seen categories, paraphrased templates
     TEST_OOD_OBJ = "test_ood_obj"  # held-out categories, training templates
     TEST_UNSEEN_SCENE = "test_unseen_scene"  # as `test_id`, in layouts of the unseen-scene splits only
-    TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # as `test_paraphrase_ood`, in these layouts
-    TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # as `test_ood_obj`, in these layouts
+    TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # `test_paraphrase_ood` in such layouts
+    TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # `test_ood_obj` in such layouts
     TEST_FALSE_PREMISE = "test_false_premise"  # the named object does not exist; the robot stops (docs/language.md)
 
     @property
     def is_unseen_scene(self) -> bool:
-        """Whether the episodes are in layouts without an episode of another kind of split."""
+        """Whether the episodes are in layouts that only the splits of unseen scenes use."""
         return self.value.startswith("test_unseen_scene")
 
     @property
@@ -88,7 +88,7 @@ class Screening(StrEnum):
     NONE = "none"  # any free pose of the tier, as published: drives may fail
     SIGHT = "sight"  # as `none`, but near and mid starts are in sight of the target, as in a room without inner walls
     FREE_LINE = "free_line"  # the straight line to the success circle is free
-    FORESEEN = "foreseen"  # the line is free, and the predicted drive touches nothing if such a start is found
+    FORESEEN = "foreseen"  # as `free_line`, preferring a start whose predicted drive touches nothing
 
     @classmethod
     def _missing_(cls, value: object) -> Screening | None:
@@ -103,7 +103,7 @@ class EndReason(StrEnum):
     COLLISION = "collision"  # commanded forward, without progress, near an obstacle
     TIMEOUT = "timeout"  # the step limit was reached
     CONTACT = "contact"  # more steps with a contact than `demonstration.max_contact_steps`
-    NOT_IN_VIEW = "not_in_view"  # a success whose last frame does not show the target, which the plan requires
+    NOT_IN_VIEW = "not_in_view"  # success, but the last frame does not show the target, although the plan requires it
 
 
 class FailReason(StrEnum):
@@ -114,7 +114,7 @@ class FailReason(StrEnum):
     TIMEOUT = "timeout"  # the expert did not arrive within the step limit
     NO_PATH = "no_path"  # the planner found no drivable path
     CONTACT = "contact"  # the robot touched something in more steps than the plan allows
-    NOT_IN_VIEW = "not_in_view"  # the last frame does not show the target, which the plan requires
+    NOT_IN_VIEW = "not_in_view"  # the last frame does not show the target, although the plan requires it
     LAYOUT = "layout"  # the seed of a layout gives no valid layout, or one that cannot fulfil the plan
     INVALID = "invalid"  # validation rejected the bundle
     CRASH = "crash"  # the simulation process crashed
@@ -241,12 +241,12 @@ BUILTIN_CATEGORIES = MappingProxyType(
         ),
     }
 )
-"""Categories of the built-in scenes by scene name: the paper's (Table II), and the families of layouts."""
+"""Categories of the built-in scenes by scene name: the scenes of the paper (Table II), and the families of layouts."""
 _LAYOUT = re.compile(rf"({'|'.join(BUILTIN_CATEGORIES)})_([0-9]{{5,9}})", re.ASCII)
 
 
 def layout_name(family: str, seed: int) -> str:
-    """Returns the name of the layout of a family whose first seed is given: `home_00017`."""
+    """Returns the name of the layout of a family whose first seed is given, such as `home_00017`."""
     return f"{family}_{seed:05d}"
 
 
@@ -257,7 +257,7 @@ def layout_number(scene: str) -> int | None:
 
 
 def family_of(scene: str) -> str:
-    """Returns the family of a layout, `home` of `home_00017`; the name itself for any other scene."""
+    """Returns the family of a layout, such as `home` for `home_00017`; for any other scene, its name."""
     match = _LAYOUT.fullmatch(scene)
     return scene if match is None else match[1]
 

@@ -34,7 +34,8 @@ _NEUTRAL_VOTE = 0.5
 _BLACK_BELOW = 30.0
 """Lightness below which an achromatic colour is called black. It includes charcoal, which looks black indoors."""
 _BLACKISH = 7.0
-"""Chroma from which a dark colour is not called black; above 12 it has the name of its hue, as navy has."""
+"""Chroma below which a dark colour is called black. From this value to 12 it has no name; above 12 it has the name of
+its hue, as navy has."""
 
 
 def linear_of(srgb: ArrayLike) -> Floats:
@@ -89,7 +90,7 @@ def _is_pink(lightness: Floats, hue: Floats) -> NDArray[np.bool_]:
 
 def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
     """Returns whether colours are brown: dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
-    is_vivid = (lightness >= 50) & (chroma >= 58)  # orange cloth in its shadows
+    is_vivid = (lightness >= 50) & (chroma >= 58)  # such as the shadows of orange cloth
     orange = (hue >= 48) & (hue < 72) & ~is_vivid & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
     yellow = (hue >= 72) & (hue < 98) & ((lightness < 58) | ((lightness < 88) & (chroma < 45)))
@@ -100,7 +101,7 @@ def dominant_name(srgb: ArrayLike) -> str:
     """Returns the name with at least half of the votes and a clear margin to the second, or `unknown`.
 
     Args:
-        srgb: samples (N, 3), 0..1; each is one vote, an achromatic sample half a vote.
+        srgb: samples (N, 3), 0..1; each sample is one vote, but an achromatic sample is half a vote.
     """
     names = name_indices(srgb)
     if names.size == 0:

@@ -32,7 +32,7 @@ class LightMix(Model):
     sky: LampLight
     """Light of the sky, and indirect light."""
     adaptation: Annotated[Fraction, Field(alias="adaption")]
-    """Share of a change of the mean light that automatic exposure compensates; serialized as `adaption`."""
+    """Share of a change of the mean light, in stops, that automatic exposure compensates; serialized as `adaption`."""
 
 
 class SurfaceChange(Model):
@@ -43,7 +43,7 @@ class SurfaceChange(Model):
     layer: Annotated[int, Field(ge=-1, le=63)]
     """Texture layer in the compiled scene, or -1."""
     colour: Hex
-    """Former colour."""
+    """Colour in the compiled scene."""
     to_colour: Hex
     """New colour, which multiplies the texture."""
     texture: Line | None = None

@@ -1,6 +1,6 @@
 """Light groups of a compiled scene: the share of each lamp group in the baked light. Model and codec; bakes nothing.
 
-They are a file beside the package, so that packages and their digests do not depend on them.
+They are stored in a file beside the package, so that packages and their digests do not depend on them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from schemas.errors import InvalidBundle
 from schemas.scene import MAX_LIGHT_MAP_PX
 
 LIGHT_FORMAT = 1
-"""Version of the file and of the method that computes it; a reader opens its own version."""
+"""Version of the file and of the method that computes it; a reader opens files of this version only."""
 SCREENS = "screens"
 """Kind of the group of small bright surfaces, whose light is not varied."""
 MAX_GROUPS = 16

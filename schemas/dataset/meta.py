@@ -180,7 +180,7 @@ def _refuse_newer(path: Place, text: str) -> None:
 
 
 def software_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
-    """Returns the versions of the installed packages among those given."""
+    """Returns the versions of those of the given packages that are installed."""
     found = ((name, _version(name)) for name in packages)
     return {name: version for name, version in found if version is not None}
 
@@ -194,7 +194,7 @@ def _version(package: str) -> str | None:
 
 
 def git_commit(checkout: Path) -> str | None:
-    """Returns the commit that a checkout has checked out, or `None` if the directory is not a checkout."""
+    """Returns the current commit of a Git checkout, or `None` if the directory is not a checkout."""
     git = checkout / ".git"
     try:
         head = (git / "HEAD").read_text(encoding="ascii").strip()

@@ -42,7 +42,7 @@ class RunShard(Model):
         return f"{self.number}/{self.count}"
 
     def numbers(self, episodes: int) -> range:
-        """Returns the episode numbers of the shard in a run of that many episodes; a shard may be empty."""
+        """Returns the episode numbers of the shard in a run of `episodes` episodes; a shard may be empty."""
         return range((self.number - 1) * episodes // self.count + 1, self.number * episodes // self.count + 1)
 
 

@@ -1,4 +1,4 @@
-"""Encodes and decodes the PNG images of frames: 8-bit RGB with filter Sub or 16-bit grey without, one IDAT chunk.
+"""Encodes and decodes the PNG images of frames: 8-bit RGB with filter Sub, or 16-bit grey without filter; one chunk.
 
 Not a general PNG reader. It decodes the output of `encode_png`, and of earlier versions that filtered ids too, and
 rejects all other images, so that an image cannot state a size that the caller does not expect. Any viewer opens the
@@ -19,7 +19,7 @@ from schemas.errors import InvalidBundle
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NONE, _SUB = 0, 1
-_ISAL_ERROR = cast(type[Exception], IsalError)  # the package's stub declares an instance
+_ISAL_ERROR = cast(type[Exception], IsalError)  # the package's stub declares an instance instead of a class
 _BAND_ROWS = 64
 """Number of rows that are decoded together; with two copies, rows of 640 pixels take 370 kB."""
 _LEVEL = 2
@@ -74,7 +74,7 @@ def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uin
     if bool((lines[:, 0] == _SUB).all()):
         rows = _unfilter_sub(rows, depth)
     elif bool(lines[:, 0].any()):
-        raise InvalidBundle("image refused", [f"{name}: a row filter other than None for all rows or Sub for all rows"])
+        raise InvalidBundle("image refused", [f"{name}: the row filters are neither all None nor all Sub"])
     pixels = np.ascontiguousarray(rows).reshape(height, width, depth)
     return pixels.view(">u2")[..., 0].astype(np.uint16) if is_grey else pixels
 

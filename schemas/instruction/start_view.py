@@ -1,4 +1,4 @@
-"""Conditions on the image at the start of an episode, which make its instruction clear from there.
+"""Conditions on the image at the start of an episode, which make its instruction unambiguous for the robot there.
 
 Plan expansion sets the conditions, the worker draws starts until they hold, and validation checks them in the first
 frame, all with the function of this module. It renders nothing.
@@ -55,11 +55,11 @@ class StartView(Model):
     within_rad: NonNegative | None = None
     """Largest angle between heading and target, which then must be in view; `None` sets no condition."""
     other_referents: Annotated[InstanceIds, Field(alias="rivals")] = ()
-    """Other objects that the instruction fits. If there are any, the target is in view and none of them is."""
+    """Other objects that the instruction fits. If there are any, the target must be in view without them."""
     same_category: Annotated[InstanceIds, Field(alias="alike")] = ()
-    """Other objects of the target's category. Each is in view only together with the target."""
+    """Other objects of the target's category. None of them may be in view without the target."""
     least_same_category: Annotated[Count, Field(alias="least_alike", exclude_if=lambda it: it == 0)] = 0
-    """Smallest number of objects of `same_category` that are in view, together with the target; 0 sets no condition."""
+    """Smallest number of objects of `same_category` that must be in view if the target is; 0 sets no condition."""
     ranks: tuple[Fraction, Fraction] | None = Field(default=None, exclude_if=lambda it: it is None)
     """Two random numbers from 0 to 1. If the first is below 1 / k, the target is the nearest of the k objects of its
     category in view; otherwise another one is the nearest. The second decides in the same way which object is the most
@@ -125,7 +125,7 @@ def _rank_findings(
     camera: CameraConfig,
     min_pixels: int,
 ) -> list[str]:
-    """Returns a sentence for each of the two measures by which the target does not have the required rank."""
+    """Returns a sentence for each of the two measures, distance and angle, by which the target has a wrong rank."""
     seen = see_objects(ids, depth, {target, *same_category}, camera, min_pixels)
     found = []
     measures = {"nearest": _range_of, "most central": _angle_of}

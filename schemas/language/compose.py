@@ -33,13 +33,13 @@ from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8
 _FEW, _SHORT_SEARCHES = 4, 2
-"""Number of features of a short search, and number of short searches before one with all features."""
+"""Number of features of a short search, and number of short searches before a search with all features."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article", "material")
 _SYNONYMS = 6
 
 
 class _Options(NamedTuple):
-    """Expressions for a target by their features, with the search that found them."""
+    """Expressions for a target, grouped by their features, and the search that found them."""
 
     search: Search
     groups: Mapping[frozenset[Family], list[ExpressionCandidate]]
@@ -139,7 +139,7 @@ class Composer:
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator
     ) -> dict[frozenset[Family], list[ExpressionCandidate]]:
-        """Returns the possible expressions by their features."""
+        """Returns the expressions that a search finds, grouped by their features."""
         is_one = self.spec.fit == "one"
         kind = search.facts.graph.objects[number].kind
         groups: dict[frozenset[Family], list[ExpressionCandidate]] = defaultdict(list)
@@ -212,8 +212,8 @@ class Composer:
     ) -> Instruction | None:
         """Returns an instruction that no object of the scene fits; `None` if none is found.
 
-        It names a category that the scene lacks, or the category of an object with a colour or a landmark that no such
-        object has.
+        It names a category that the scene lacks, or a category with a colour or a landmark that no object of this
+        category has.
 
         Args:
             scene: prepared scene.
@@ -237,7 +237,8 @@ class Composer:
         return None
 
     def _absent(self, scene: SceneLanguage, number: int, code: str) -> list[list[Expression]]:
-        """Returns groups of expressions that may fit no object: other categories, colours and landmarks."""
+        """Returns groups of expressions that may fit no object: categories that the scene lacks, and the category of an
+        object with other colours or other landmarks."""
         own, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
         kinds = sorted({each.kind for each in scene.graph.objects if each.kind in nouns})
         others = [kind for kind in kinds if kind != own.kind]
@@ -302,7 +303,7 @@ def composer_of(spec: LanguageSpec) -> Composer:
 
 
 def features_of(expression: Expression, kind: str) -> frozenset[Family]:
-    """Returns the features of an expression for an object of a kind."""
+    """Returns the features of an expression, with `SUPERCLASS` if it does not name the object by its own kind."""
     return expression.families | ({Family.SUPERCLASS} if expression.kind != kind else frozenset())
 
 

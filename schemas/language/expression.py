@@ -26,7 +26,7 @@ class Relation(StrEnum):
     IN_CORNER = "in_corner"  # close to two perpendicular walls
     EMPTY = "empty"  # nothing is on its flat top
     OCCUPIED = "laden"  # something is on its flat top
-    WITH_BESIDE = "with_beside"  # an exact number of objects of a kind is close to it, and to no other such object
+    WITH_BESIDE = "with_beside"  # an exact number of objects of a kind is close to it, and to nothing else with a top
     WITH_ON = "with_on"  # an exact number of objects of a kind is on its top
     THIS_ROOM = "this_room"  # in the room of the start
     IN_ROOM = "in_room"  # in the only room of a type
@@ -73,7 +73,7 @@ class Family(StrEnum):
     COUNT = "count"  # with a number of objects beside or on it
     ROOM = "room"  # this room, type of the room, room of a landmark
     EGO = "ego"  # on your left, on your right, straight ahead
-    ORDINAL = "ordinal"  # second from the left
+    ORDINAL = "ordinal"  # position, such as second from the left
     NEAREST = "nearest"  # nearest or farthest
 
 
@@ -90,9 +90,9 @@ FROM_VIEW = frozenset({Relation.LEFT_OF, Relation.RIGHT_OF, Relation.IN_FRONT_OF
 OF_VIEWER = frozenset({Relation.YOUR_LEFT, Relation.YOUR_RIGHT, Relation.AHEAD})
 """Relations of an object to the start pose."""
 STATES = frozenset({Relation.EMPTY, Relation.OCCUPIED})
-"""Relations of an object to anything that is on it."""
+"""Relations that hold if an object has nothing, or something, on its top."""
 COUNTED = frozenset({Relation.WITH_BESIDE, Relation.WITH_ON})
-"""Relations to a number of objects."""
+"""Relations that name a number of objects."""
 AHEAD_SIDES = MappingProxyType({ViewSide.AHEAD_LEFT: 1.0, ViewSide.AHEAD_RIGHT: -1.0})
 """Sides of the way ahead; positive to the left."""
 OF_START = FROM_VIEW | OF_VIEWER | {Relation.THIS_ROOM}
@@ -135,11 +135,11 @@ class Clause(Model):
     relation: Relation
     """Name of the relation."""
     landmarks: Annotated[tuple[Landmark, ...], Field(max_length=2)] = Field(default=(), exclude_if=lambda it: not it)
-    """Landmarks, in the order of the words."""
+    """Landmarks, in the order in which the sentence names them."""
     room: Name | None = Field(default=None, exclude_if=lambda it: it is None)
     """Type of the room, for `in_room` only."""
     count: Annotated[int, Field(ge=2, le=6)] | None = Field(default=None, exclude_if=lambda it: it is None)
-    """Number of objects like the landmark, for `with_beside` and `with_on` only."""
+    """Number of objects that the landmark describes, for `with_beside` and `with_on` only."""
 
     @model_validator(mode="after")
     def _has_its_arguments(self) -> Clause:
@@ -153,10 +153,10 @@ class Clause(Model):
 
 
 class Ordinal(Model):
-    """Place in the view at the start, or along the way ahead."""
+    """Position of an object in the view at the start, or along the way ahead."""
 
     number: Annotated[int, Field(ge=1, le=4)]
-    """Number, from 1."""
+    """Position in this order, from 1."""
     side: ViewSide
     """Order in which objects are counted."""
 
@@ -175,13 +175,13 @@ class Expression(Model):
     size: Size | None = Field(default=None, exclude_if=lambda it: it is None)
     """Superlative of size."""
     ordinal: Ordinal | None = Field(default=None, exclude_if=lambda it: it is None)
-    """Place in the view."""
+    """Position in the view, or along the way ahead."""
     clauses: Annotated[tuple[Clause, ...], Field(max_length=4)] = Field(default=(), exclude_if=lambda it: not it)
-    """Relations, in the order of the words."""
+    """Relations, in the order in which the sentence names them."""
 
     @property
     def families(self) -> frozenset[Family]:
-        """Families of the features, without the superclass, which `kind` alone does not show."""
+        """Families of the features, without `SUPERCLASS`: whether `kind` is a superclass depends on the target."""
         parts = {
             Family.COLOUR: self.colour,
             Family.MATERIAL: self.material,

@@ -80,9 +80,9 @@ class LanguageSpec(Model):
     per_episode: Annotated[int, Field(ge=1, le=16)] = 1
     """Number of instructions for each episode."""
     redundant: Fraction = 0.0
-    """Share of expressions with one more part than they need."""
+    """Share of expressions with one redundant part."""
     mistakes: Mistakes = Field(default_factory=dict, exclude_if=lambda it: not it)
-    """Share of sentences with a typing or a speech error; omitted if none has one."""
+    """Share of sentences with a typing or a speech error, by kind of error; omitted if empty."""
     fit: Literal["one", "any"] = "one"
     """`one`: an instruction fits the target only. `any`: it says "a" and fits the target and other objects."""
     same_category: Count = 0
@@ -93,8 +93,8 @@ class LanguageSpec(Model):
     """Whether starts in a plan are selected so that the target is the nearest, and the most central, object of its
     category in view only as often as by chance; needs `in_view`."""
     exchangeable: bool = Field(default=False, exclude_if=lambda it: not it)
-    """Whether the target of an episode in a plan is drawn at its start, from the objects of its category that could be
-    the target there; `in_view` counts these objects. Omitted if false."""
+    """Whether a plan draws the target of an episode when the episode starts, from the objects of its category that
+    could be the target from the start pose; `in_view` counts these objects. Omitted if false."""
     questions: bool = Field(default=False, exclude_if=lambda it: not it)
     """Whether each episode gets questions with computed answers; omitted if false."""
     false_premises: Fraction = 0.0
@@ -196,7 +196,7 @@ def _require_words(source: Grammar, kind: str, words: tuple[str, ...]) -> None:
                 f"{source.code}.{kind}: {whole!r} needs a gender, one of {', '.join(source.genders)}: NOUN:GENDER"
             )
         if taken.get(noun.lower(), kind) != kind:
-            raise ValueError(f"{source.code}.{kind}: {noun!r} is the noun of {taken[noun.lower()]!r}")
+            raise ValueError(f"{source.code}.{kind}: {noun!r} is already a noun of the kind {taken[noun.lower()]!r}")
 
 
 class SpokenLanguage:

@@ -1,4 +1,4 @@
-"""Kinds of objects: superclasses, kinds that look alike, and landmarks by the name of their prim."""
+"""Kinds of objects: superclasses, kinds that look alike, and landmarks recognised by the name of their prim."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from schemas.base import Model, Name
 
 DATA = Path(__file__).parent / "data"
 UNKNOWN = "unknown"
-"""Colour or material of an object without a dominant or recorded one."""
+"""Colour of an object without a dominant colour; material of an object without a recorded material."""
 UNNAMED = "thing"
-"""Kind of an object that has no words, but looks like another kind."""
+"""Kind of an object that no word names, but that a viewer may take for another kind."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
@@ -29,13 +29,15 @@ class ObjectKind(Model):
     prims: tuple[tuple[str, ...], ...] = ()
     """Words of the prim's name that identify a landmark without a category."""
     of: Name | None = None
-    """Category whose objects have this kind if their prim has its words; a pile of boxes has the category box."""
+    """Category of which this kind is a special case, such as a pile of boxes of the category box. An object of the
+    category has this kind if the name of its prim contains the words in `prims`."""
     surface: bool = False
-    """Whether things are put on its top, so that it can be empty."""
+    """Whether things are put on its top, so that the top can be called empty."""
     material: bool = False
     """Whether its material can be named."""
     sized: bool = True
-    """Whether sizes are compared; false if flat, or if it includes another thing, such as the mirror above a sink."""
+    """Whether objects of this kind are compared by size; false if they are flat, or include another thing, such as the
+    mirror above a sink."""
 
 
 _ALIKE_COLOURS = frozenset({"brown", "yellow"})
@@ -65,7 +67,8 @@ class Kinds(Model):
     kinds: dict[Name, ObjectKind]
     """Known kinds; a category that is not among them has the default properties."""
     seen_as: dict[Name, tuple[tuple[str, ...], ...]]
-    """Words of prims that a viewer may take for an object of a kind, in addition to the words of the kind's name."""
+    """Words of prim names for each kind: a viewer may take a prim with such a name for an object of the kind. The words
+    of the kind's own name have the same effect."""
     rooms: dict[Name, RoomRule]
     """Types of rooms, in the order in which they are tested."""
 
@@ -121,7 +124,7 @@ class Kinds(Model):
         return (*own, *((frozenset(words), kind) for kind, group in self.seen_as.items() for words in group))
 
     def special_of(self, category: str, segments: Iterable[str]) -> str:
-        """Returns the kind of an object: its category, or a special kind of it that words of its prim name."""
+        """Returns the kind of an object: the special kind of its category that its prim path names, or the category."""
         named = self.landmark_of(segments)
         return named[0] if named is not None and self.of(named[0]).of == category else category
 

@@ -1,4 +1,4 @@
-"""Finds out whether a language file gives instructions in a scene, and if not, which features would. Opens no file."""
+"""Finds out whether a language file yields instructions in a scene, and if not, which features would. Opens no file."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def explain_impossible(scene: SceneLanguage, spec: LanguageSpec, probes: Sequenc
     rivals = max(scene.distractors(number) for number, _ in probes)
     what = ", ".join(possible) or f"nothing with fit = {spec.fit!r}"
     return (
-        f"no instruction with these features fits a target; possible there: {what}; at most {rivals} other objects of "
-        "a target's category"
+        f"no instruction with these features fits a target; features possible in this scene: {what}; a target has at "
+        f"most {rivals} other objects of its category"
     )
 
 
 def _features(scene: SceneLanguage, composer: Composer, probes: Sequence[Probe]) -> Iterator[str]:
-    """Yields the features of an instruction for each probe that gets one."""
+    """Yields the features of each instruction that is written for the probes."""
     for place, (number, view) in enumerate(probes):
         rng = np.random.default_rng((composer.spec.seed, place))
         for one in composer.write(scene, view, number, False, rng):

@@ -1,4 +1,4 @@
-"""Prepares a scene for language: facts for generators, the verifier, and doorways. Opens no file."""
+"""Prepares a scene for instructions: facts for the generator, the verifier, and doorways. Opens no file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SceneLanguage:
         self._of_kind = Counter(each.kind for each in self.graph.objects)
 
     def distractors(self, number: int) -> int:
-        """Returns the number of other objects of an object's kind."""
+        """Returns the number of other objects that have the kind of an object."""
         return self._of_kind[self.graph.objects[number].kind] - 1
 
     @cached_property

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 
 class Band(NamedTuple):
-    """Two limits of one measure."""
+    """Two limits of one measure; small values are good if `good` is less than `bad`, otherwise large values are."""
 
     good: float
-    """The relation surely holds up to this value."""
+    """The relation surely holds at this value, and at all values on its good side."""
     bad: float
-    """The relation surely does not hold from this value on."""
+    """The relation surely does not hold at this value, and at all values on its bad side."""
 
 
 NEXT_TO_M = Band(0.6, 1.6)
@@ -76,21 +76,22 @@ VOLUME_RATIO = 1.5
 HEIGHT_RATIO = 1.2
 """Smallest ratio of heights for the tallest and lowest object."""
 SHOWN = 0.4
-"""Smallest share of free lines of sight to an object that surely is visible in part."""
+"""Smallest share of free lines of sight to an object of which a part is surely visible."""
 BEARING_GAP_RAD = math.radians(4)
 """Smallest angle between objects that are counted from a side."""
 ROW_AHEAD_M = Band(0.7, -0.35)
 """Smallest distance of the middle along the heading, for objects that are counted along the way ahead, metres."""
 ROW_ASIDE_M = Band(0.2, 0.0)
-"""Smallest distance from the axis of the heading, metres: near side if surely counted, far side if borderline."""
+"""Smallest distance from the axis of the heading, metres: of the near side for a surely counted object, of the far side
+for a borderline case."""
 ROW_GAP_M = Band(2.0, 8.0)
 """Largest distance of the near side of a counted object from the axis of the heading, metres."""
 ROW_STEP_M = 0.8
 """Smallest distance along the heading between two objects that are counted, metres."""
 ROW_HIDDEN_M = 0.3
-"""Distance from the axis by which an object is behind another one that covers it, metres."""
+"""An object is hidden only by objects that are closer to the axis by at least this distance, metres."""
 ROW_HIDDEN = 0.5
-"""Smallest share of an object along the heading that another object covers, so that it is not counted."""
+"""An object is not counted if another one covers at least this share of its length along the heading."""
 VISIBLE_M = 10.0
 """Largest distance at which an object counts as surely visible, metres."""
 EDGE_RAD = math.radians(4)

@@ -162,12 +162,15 @@ def parse_bundle_ranges(parameters: Mapping[str, str]) -> tuple[BundleRange, ...
     """Parses the selector of ranges of bundles.
 
     Raises:
-        ValueError: a parameter is missing or out of bounds, or the ranges exceed a limit together.
+        ValueError: a parameter is missing or out of bounds, or the ranges together exceed a limit.
     """
     columns = [parameters.get(name, "")[:_MAX_FIELD_CHARS].split(_SEPARATOR) for name in RANGE_FIELDS]
     count = len(columns[0])
     if count > MAX_RANGES or any(len(column) != count for column in columns):
-        raise ValueError(f"{[len(column) for column in columns]} values; expected equal numbers, at most {MAX_RANGES}")
+        raise ValueError(
+            f"{[len(column) for column in columns]} values of {', '.join(RANGE_FIELDS)}; expected equal numbers, "
+            f"at most {MAX_RANGES}"
+        )
     found = tuple(_range_of(dict(zip(RANGE_FIELDS, row, strict=True))) for row in zip(*columns, strict=True))
     total = sum(each.chunk.length for each in found)
     if total > MAX_CHUNK_BYTES:

@@ -27,7 +27,7 @@ MAX_STATES_CHARS = 3 << 18
 MAX_RULES_CHARS = 1 << 18
 """Largest length of the category rules in a message, characters."""
 MAX_KNOWN_TEXTURES = 1024
-"""Largest number of textures in the order of a build; a family has about 150."""
+"""Largest number of textures in a `BuildOrder`; a family has about 150."""
 MAX_LEASES = 256
 """Largest number of leases in simulation, and of leases in the spool, in one heartbeat; a host with more leases sends
 several heartbeats."""
@@ -37,8 +37,9 @@ MAX_ATTACHMENT_BYTES = 1 << 30
 """Largest size of an attachment, bytes."""
 
 SessionId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,79}$")]
-"""Pattern of a host name; it has no dot, because a dot ends the host name in a session id."""
+"""Session id of a worker: `HOST`, or `HOST.` and a suffix for each start."""
 HostName = Annotated[str, Field(pattern=HOST_PATTERN)]
+"""Name of a host; it has no dot, because a dot ends the host name in a session id."""
 Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 Version = Annotated[str, Field(pattern=r"^[!-~]{0,40}$")]
 Detail = Annotated[str, Field(max_length=MAX_DETAIL_CHARS, pattern=r"^[^\x00]*$")]
@@ -155,7 +156,7 @@ class ClaimReply(Model):
     job: Job | None = None
     """Job to execute; null if none is available."""
     build: BuildOrder | None = None
-    """Layout to build instead."""
+    """Layout to build instead of a job; null if none is assigned."""
     lease: Lease | None = None
     """Lease on the job or the build."""
     evaluation: EvalPayload | None = None

@@ -16,8 +16,8 @@ from schemas.rig.rig import Rig, Sensor
 MAX_MEASURED_IMAGES = 60_000
 """Largest number of stored images and scans of an episode; a bundle has at most 65,535 members, frames included."""
 _MOST_RADIAL = 3.0
-"""Upper bound of the distance of a point before the far plane of a camera face, as a multiple of the distance of that
-plane. A single face extends to 63 degrees along rows and columns, the face of a cube to 45."""
+"""Upper bound of the radial depth of a camera, as a multiple of `far_m`. A camera is rendered to a single image plane,
+up to 63 degrees from the optical axis along rows and columns, or to the sides of a cube, up to 45 degrees."""
 
 
 def is_of_motion(sensor: Sensor) -> bool:
@@ -102,7 +102,7 @@ def _image_spec(camera: Camera, output: CameraOutput) -> ArraySpec:
 
 
 def _most_depth_m(camera: Camera) -> float | None:
-    """Returns the largest depth without noise, metres; `None` for noise of depth, which has no limit."""
+    """Returns the largest depth of a camera, metres; `None` for a camera with noise of depth, which has no limit."""
     if camera.noise is not None and camera.noise.depth is not None:
         return None
     return camera.far_m * (1.0 if camera.depth is DepthKind.AXIAL else _MOST_RADIAL) + 1e-3

@@ -57,7 +57,7 @@ class _Camera(MountedSensor):
         CameraOutput.DEPTH,
         CameraOutput.IDS,
     )
-    """Images that the camera gives."""
+    """Images that the camera records."""
     noise: CameraNoise | None = None
     """Noise of colour and depth; null is a perfect camera."""
 
@@ -67,7 +67,7 @@ class _Camera(MountedSensor):
         return False
 
     def lens(self) -> Self:
-        """Returns the camera without name, rate, mount, outputs and noise; cameras of one type have equal lenses."""
+        """Returns the camera with fixed name, rate, mount, outputs and noise, so that cameras of one type are equal."""
         plain = {"name": "lens", "rate_hz": None, "mount": Mount(), "outputs": (CameraOutput.RGB,), "noise": None}
         return self.model_copy(update=plain)
 

@@ -108,16 +108,16 @@ class ColourNoise(Model):
     gain_db: Annotated[float, Field(ge=0, le=60)] = 12.0
     """Analogue gain, decibels; 12 is indoor light, where a saturated value has a quarter of the electrons."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
-    """Quality of JPEG compression; null has none."""
+    """Quality of JPEG compression; null means no compression."""
 
 
 class CameraNoise(Model):
     """Noise of a camera."""
 
     colour: ColourNoise | None = None
-    """Noise of colour; null has none."""
+    """Noise of colour; null means no noise."""
     depth: DepthNoise | None = None
-    """Noise of depth; null has none."""
+    """Noise of depth; null means no noise."""
 
 
 class LidarNoise(Model):
@@ -131,7 +131,7 @@ class LidarNoise(Model):
     """Resolution of the range, metres (VLP-16 User Manual 63-9243, Sec. 9.3); 0 does not round."""
     matt_range_m: Positive | None = 100.0
     """Longest range of a matt surface that faces the lidar, metres (the same manual); it decreases with the square
-    root of the cosine of the angle of incidence. Null has no such limit."""
+    root of the cosine of the angle of incidence. Null means no such limit."""
     dropout: Fraction = 0.0
     """Share of the rays without a measurement."""
     sweep_s: Annotated[float, Field(ge=0, le=1)] = 0.0

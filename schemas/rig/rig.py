@@ -63,7 +63,7 @@ class Rig(Model):
     body: Annotated[tuple[Box, ...], Field(max_length=64)] = ()
     """Solid parts of the robot, in which no camera and no lidar can be."""
     sensors: Annotated[tuple[Sensor, ...], Field(min_length=1, max_length=32)]
-    """Sensors, in the order of their images in sheets and tables."""
+    """Sensors, in the order of their images in contact sheets and tables."""
 
     @property
     def cameras(self) -> tuple[PinholeCamera | FisheyeCamera | EquirectangularCamera, ...]:

@@ -102,4 +102,4 @@ def contradictions(scene: CompiledScene) -> list[str]:
         "spawn_sees has one row per spawn and one column per target": scene.spawn_sees.shape
         == (len(scene.spawns), len(scene.info.targets)),
     }
-    return [f"not true: {claim}" for claim, holds in checks.items() if not holds]
+    return [f"condition not met: {claim}" for claim, holds in checks.items() if not holds]

@@ -101,7 +101,7 @@ def _explain(place: Path, origin: str, reason: str) -> None:
     """Writes the origin and the reason to a file beside a quarantined file, and logs them."""
     place.with_name(f"{place.name}.reason.txt").write_text(f"{origin}\n{reason}\n", encoding="utf-8")
     sync_directory(place.parent)
-    import structlog  # not at the start of each process that reads a dataset, which it would slow down
+    import structlog  # imported here, because it would slow down the start of each process that reads a dataset
 
     structlog.get_logger(__name__).warning("quarantined", file=origin, moved_to=str(place), reason=reason)
 

@@ -21,7 +21,7 @@ class EpisodeList:
     """Content of the episode folder of a dataset."""
 
     episodes: dict[int, FilePlace]
-    """Path of each episode by number, ascending; of an episode that is stored twice, the packed one."""
+    """Path of each episode by number, ascending; for an episode that is stored twice, the path in a shard."""
     shards: int
     """Number of shards."""
     foreign: list[Place] = field(default_factory=list)
@@ -85,4 +85,4 @@ def _index_fault(root: Place, packed: ShardIndex) -> str:
         np.array_equal(getattr(stored, name), getattr(packed, name))
         for name in ("numbers", "shards", "offsets", "sizes")
     )
-    return "" if same else f"lists {len(stored)} episodes otherwise than the {len(packed)} in the shards"
+    return "" if same else f"lists {len(stored)} episodes and does not match the shards, which contain {len(packed)}"

@@ -118,7 +118,8 @@ def table_of(place: Place) -> Path | BufferReader:
     """
     if isinstance(place, Path):
         return place
-    from pyarrow import BufferOutputStream, BufferReader  # not at the start of each worker, which it would slow down
+    # imported here, because it would slow down the start of each worker
+    from pyarrow import BufferOutputStream, BufferReader
 
     content = BufferOutputStream()
     for piece in place.stream():

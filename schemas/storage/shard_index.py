@@ -68,7 +68,7 @@ class ShardIndex:
         return self.at(position)
 
     def __iter__(self) -> Iterator[tuple[int, PackedPath]]:
-        """Yields number and path of each episode, by ascending number; an episode of two shards twice."""
+        """Yields number and path of each episode, by ascending number; an episode in two shards is yielded twice."""
         return ((number, self.at(position)) for position, number in enumerate(self.numbers.tolist()))
 
     def __len__(self) -> int:
@@ -104,7 +104,7 @@ def read_index(root: Place) -> ShardIndex | None:
     path = root / SHARDS_FILE
     if isinstance(path, Path) and not path.exists():
         return None
-    import pyarrow as pa  # not at the start of each process that reads a dataset without shards
+    import pyarrow as pa  # imported here, because readers of a dataset without shards do not need it
     import pyarrow.parquet as pq
 
     try:
@@ -129,7 +129,7 @@ def _is_valid(index: ShardIndex) -> bool:
 def shard_places(root: Place) -> list[Place]:
     """Returns the paths of the shards of a dataset, by name."""
     folder = root / EPISODES
-    # the names of shards follow those of episodes, so that one request lists them
+    # the names of shards sort after the names of episodes, so that one request lists all shards
     found = folder.walk(after="shard") if isinstance(folder, ObjectPath) else children(folder)
     return sorted(place for place in found if is_shard(place.name) and place.parent == folder)
 
@@ -158,7 +158,7 @@ def list_shards(root: Place) -> ShardIndex:
 
 @functools.lru_cache(maxsize=4096)
 def _directory(place: Place) -> ShardDirectory:
-    """Returns the directory of a shard; a shard of this name has this content, so that it is read once."""
+    """Returns the directory of a shard; cached, because the name of a shard contains the digest of its content."""
     try:
         return open_shard(place)[0]
     except OSError:
@@ -170,9 +170,9 @@ _known: dict[str, ShardIndex] = {}
 
 
 def packed_place(root: Place, number: int) -> PackedPath | None:
-    """Returns the path of a packed episode, or `None`, by the index, which this process reads once.
+    """Returns the path of a packed episode according to the index, or `None`; this process reads the index once.
 
-    Does not check the path, which an outdated index may give; `episode_place` does.
+    Does not check whether the episode is stored there, which may be wrong in an outdated index; `episode_place` does.
     """
     key = _key(root)
     if key not in _known:

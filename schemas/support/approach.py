@@ -56,10 +56,11 @@ def approach(starts: Floats, limit: Floats, centre: Floats, vertices: Floats | N
 
 
 def _bracket(away: Floats, limit: Floats, centre: Floats, vertices: Floats) -> tuple[Floats, Floats]:
-    """Returns multiples of `_STEP` (...) between which lines (..., 2) from the centres cross a distance (...).
+    """Returns two positions (...) on each line (..., 2) from a centre, between which it crosses a distance (...).
 
-    They are two steps apart if Newton's method found the crossing, else 0 and 1; the bisection between them has the
-    same result. The distance is a convex function of the share of a line, so the method cannot pass the crossing.
+    A position is a share of the line and a multiple of `_STEP`. The positions are two steps apart if Newton's method
+    found the crossing, else they are 0 and 1; the bisection between them has the same result. The distance is a convex
+    function of the position, so the method cannot pass the crossing.
     """
     share = np.ones(away.shape[:-1])
     for _ in range(_NEWTON_STEPS):

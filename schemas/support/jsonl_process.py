@@ -80,7 +80,7 @@ class JsonlProcess(Generic[M]):
                 stderr=self._stderr if self._stderr is not None else subprocess.DEVNULL,
                 pass_fds=pass_fds,
                 env=environment,
-                start_new_session=True,  # Ctrl-C is for the owner; the group is killed as one
+                start_new_session=True,  # Ctrl-C reaches the owner only; `kill` ends the whole group
             )
             opened.pop_all()
         assert self._process.stdout is not None
@@ -189,7 +189,7 @@ class JsonlProcess(Generic[M]):
 
 
 def _file_to_append() -> IO[bytes]:
-    """Returns a file without a name whose writers continue at its end, also after it was emptied."""
+    """Returns an unnamed file in append mode, so that a process continues at its end after the file was emptied."""
     file = tempfile.TemporaryFile()  # noqa: SIM115 - closed by the caller
     fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) | os.O_APPEND)
     return file

@@ -50,7 +50,7 @@ def gaps_to(points: Floats, vertices: Floats) -> Floats:
 
 def _to_sides(points: Floats, vertices: Floats) -> tuple[Floats, Floats, Bools]:
     """Returns x and y (K, ...) of the vectors from points (..., 2) to the sides of convex polygons, and whether each
-    point is inside. The sides are the first axis, because reductions over a short last axis are slow.
+    point is inside. The first axis counts the sides, because reductions over a short last axis are slow.
     """
     if vertices.ndim == 2:
         vertices = vertices.reshape(len(vertices), *(1,) * (points.ndim - 1), 2)

@@ -1,8 +1,8 @@
 """Sine, cosine, arctangent, matrix product and linear solver with bit-identical results on all processors.
 
-numpy has several kernels of sine and cosine, and BLAS (which `@`, `np.dot`, `np.linalg.solve` and the norm of a single
-vector call) has several of the product. Both select a kernel by processor, and the kernels differ in the last bit. So
-values that are written to an episode or a scene are computed with this module instead.
+numpy has several kernels for sine and cosine. BLAS, which `@`, `np.dot`, `np.linalg.solve` and the norm of a single
+vector call, has several kernels for the product. Both libraries select a kernel by processor, and the kernels differ in
+the last bit. So values that are written to an episode or a scene are computed with this module instead.
 """
 
 from __future__ import annotations

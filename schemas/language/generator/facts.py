@@ -1,6 +1,6 @@
 """Computes which relations hold in a scene graph, as masks over all objects, for the generator. Vectorised.
 
-Relations of the start pose are in `view_facts`. The verifier does not use this module.
+`view_facts` computes the relations to the start pose. The verifier does not use this module.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from schemas.support.numpy_types import Bools, Floats
 
 @dataclass(frozen=True)
 class SceneFacts:
-    """Properties and relations of a scene graph that do not depend on the start pose."""
+    """Properties and relations of a scene graph that do not depend on the start pose.
+
+    Objects or pairs for which a relation is only possible are in the mask `possible` and not in `sure`, see `Masks`.
+    """
 
     graph: SceneGraph
 
@@ -31,7 +34,7 @@ class SceneFacts:
         return {}
 
     def described(self, kind: str, colour: str | None, material: str | None = None) -> Masks:
-        """Returns which objects a kind or superclass fits, with a colour and a material if they are given."""
+        """Returns the objects of a kind or superclass that have the colour and the material, where these are given."""
         key = kind, colour, material
         if key not in self._kind_masks:
             table, objects = self.graph.kinds, self.graph.objects
@@ -93,14 +96,14 @@ class SceneFacts:
 
     @cached_property
     def _rooms(self) -> Masks:
-        """Pairs that are surely and possibly in one room."""
+        """(N, N) pairs in one room; both masks include each pair with an object whose room is unknown."""
         room = self.graph.room_of
         same, unknown = room[:, None] == room, (room[:, None] == 0) | (room == 0)
         return Masks((same & ~unknown) | unknown, same | unknown)
 
     @cached_property
     def same_room(self) -> Masks:
-        """(N, N) pairs that are surely in one room without a wide opening between them, and those that possibly are."""
+        """(N, N) pairs in one room; only possible if a wide opening is between them, or a room is unknown."""
         room, area = self.graph.room_of, self.graph.area_of
         known = (room > 0) & (area > 0)
         sure = (room[:, None] == room) & (area[:, None] == area) & known[:, None] & known
@@ -166,7 +169,7 @@ class SceneFacts:
 
     @cached_property
     def alone(self) -> dict[Relation, Masks]:
-        """(N,) objects for which a relation without landmark and view holds, by relation."""
+        """(N,) objects for which each relation that needs neither landmark nor view holds."""
         objects = self.graph.objects
         gap, corner = (np.array([getattr(each, name) for each in objects]) for name in ("wall_gap_m", "corner_gap_m"))
         hung = below(gap, limit.TOUCH_M).both(above(self._base, limit.WALL_BASE_M))
@@ -180,7 +183,7 @@ class SceneFacts:
 
     @cached_property
     def _states(self) -> dict[Relation, Masks]:
-        """(N,) objects with nothing, and with something on their flat top."""
+        """(N,) objects whose flat top is empty, and objects with something on it."""
         objects = self.graph.objects
         known = np.array([each.top is not None for each in objects], bool)
         free = np.array([each.top is not None and not each.top.above for each in objects], bool)
@@ -188,7 +191,7 @@ class SceneFacts:
         return {Relation.EMPTY: Masks(free, ~known | ~occupied), Relation.OCCUPIED: Masks(occupied, ~known | ~free)}
 
     def counted(self, relation: Relation, kind: str, count: int) -> Masks:
-        """Returns which objects have an exact number of objects of a kind beside or on them."""
+        """Returns the objects that have exactly `count` objects of a kind beside or on them."""
         key = relation, kind, count
         if key not in self._counted:
             fitting = self.described(kind, None)
@@ -209,7 +212,7 @@ class SceneFacts:
 
     @cached_property
     def _beside(self) -> Masks:
-        """(N, N) [object, thing]: things close to an object and to no other object of a kind with a top."""
+        """(N, N) [object, thing]: things close to an object, and clearly farther from all others that have a top."""
         found = below(self.gap, limit.BESIDE_M).both(self._rooms)
         surfaces = np.array([self.graph.kinds.of(each.kind).surface for each in self.graph.objects], bool)
         others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # [other, thing]
@@ -222,7 +225,7 @@ class SceneFacts:
         return Masks(found.sure & clear & level, found.possible & apart)
 
     def in_room(self, room: int, area: int | None = None) -> Masks:
-        """Returns which objects are in a room; if a part of it is given, only objects of this part are surely in it."""
+        """Returns the objects in a room; if a part of the room is given, objects in other parts are only possible."""
         found = self.graph.room_of
         sure = found == room
         if area is not None:
@@ -230,7 +233,7 @@ class SceneFacts:
         return Masks(sure, (found == room) | (found == 0))
 
     def in_typed_room(self, room: int) -> Masks:
-        """Returns which objects are in a room of a type; only objects in the parts that show the type surely are."""
+        """Returns the objects in a room; objects in parts of the room that do not show its type are only possible."""
         kind = self.graph.types[room - 1]
         shown = self.graph.areas_of_type(room, str(kind))
         return Masks(

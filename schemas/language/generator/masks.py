@@ -20,16 +20,16 @@ class Masks(NamedTuple):
     """Objects for which it possibly holds; includes those for which it surely holds."""
 
     def both(self, other: Masks) -> Masks:
-        """Returns the masks of both properties together."""
+        """Returns the masks of the objects that have both properties."""
         return Masks(self.sure & other.sure, self.possible & other.possible)
 
     def of_any(self, landmarks: Described) -> Masks:
-        """Returns which objects have a relation to any of the landmarks; `self` has its (N, N) masks, by landmark."""
+        """Returns the objects that have this relation, (N, N) [landmark, object], to any of the given landmarks."""
         sure = np.asarray(self.sure[landmarks.sure].any(axis=0), bool)
         return Masks(sure, np.asarray(self.possible[landmarks.possible].any(axis=0), bool))
 
     def fits_only(self, number: int) -> bool:
-        """Returns whether the property surely holds for one object, and possibly for no other."""
+        """Returns whether the property surely holds for an object, and surely does not hold for any other object."""
         return bool(self.sure[number]) and int(self.possible.sum()) == 1
 
 
@@ -47,10 +47,10 @@ class Described(NamedTuple):
 
 
 def below(values: Floats, band: Band) -> Masks:
-    """Returns where values are surely, and possibly, small enough."""
+    """Returns the masks of the values that are small enough: surely up to `good`, possibly below `bad`."""
     return Masks(values <= band.good, values < band.bad)
 
 
 def above(values: Floats, band: Band) -> Masks:
-    """Returns where values are surely, and possibly, large enough."""
+    """Returns the masks of the values that are large enough: surely from `good`, possibly above `bad`."""
     return Masks(values >= band.good, values > band.bad)

@@ -15,7 +15,8 @@ from schemas.language.generator.parts import ExpressionPart, bits_of
 from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
 
 _WITH_ORDINAL = frozenset({Family.ROOM})
-"""Families of relations that are combined with an ordinal: others make "the second chair from the left" unclear."""
+"""Families of relations that are combined with an ordinal; other relations make "the second chair from the left"
+unclear."""
 _MOST_SELECTED = 4
 """Largest number of relations that are combined with a superlative."""
 _MOST_PARTS = 24
@@ -49,13 +50,13 @@ def minimal_candidates(search: Search, rng: np.random.Generator) -> list[Express
 def _with_head(
     search: Search, head: ExpressionHead, parts: list[ExpressionPart], own: int, bare: int
 ) -> Iterator[ExpressionCandidate]:
-    """Yields the minimal expressions with a head.
+    """Yields the minimal expressions that contain a given kind, with its colour or material.
 
     Args:
         search: parts of expressions for the target.
         head: kind, perhaps with colour or material.
         parts: relations that surely hold for the target.
-        own: bit of the target.
+        own: the target, as bits of an integer (see `bits_of`).
         bare: objects that the kind alone fits, as bits; -1 for a head without colour and material.
     """
     base = bits_of(head.masks.possible)
@@ -69,7 +70,7 @@ def _with_head(
     useful = []
     for part in parts:
         if bare >= 0 and bare & part.bits == own:
-            continue  # colour or material can be dropped
+            continue  # the relation selects the target without the colour or material
         if base & part.bits == own:
             yield ExpressionCandidate(head, (part,))
         elif base & part.bits != base:
@@ -84,7 +85,7 @@ def _with_head(
 
 
 def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[ExpressionCandidate]:
-    """Yields the expressions in which a superlative selects the target among the objects of a relation.
+    """Yields the expressions in which a superlative selects the target among the objects for which a relation holds.
 
     Without the relation, the same superlative does not select the target.
     """
@@ -95,7 +96,7 @@ def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Ite
 
 
 def _is_readable(one: ExpressionCandidate) -> bool:
-    """Returns whether it is clear from which set an expression counts objects, or selects the farthest object."""
+    """Returns whether a reader knows which objects an expression counts, or among which it selects the farthest."""
     families = {FAMILY[part.clause.relation] for part in one.parts}
     if one.ordinal is not None:
         return families <= _WITH_ORDINAL

@@ -1,4 +1,4 @@
-"""Parts of expressions that do not depend on the start: computed once for each target of a scene, and kept.
+"""Computes the parts of expressions that do not depend on the start pose, once for each target of a scene.
 
 Does not combine the parts.
 """
@@ -33,20 +33,20 @@ class ExpressionPart(NamedTuple):
 
 
 class Superlatives(NamedTuple):
-    """Superlatives that surely select the target among some objects."""
+    """Superlatives that surely select the target among given objects."""
 
     sizes: tuple[Size, ...]
     nearest: tuple[Clause, ...]
-    """Relations nearest and farthest, with their landmarks."""
+    """Clauses with the relation `nearest_to` or `farthest_from`."""
 
 
 def part_of(clause: Clause, masks: Masks) -> ExpressionPart:
-    """Returns a part of an expression."""
+    """Returns the part of an expression for a clause and the objects for which it holds."""
     return ExpressionPart(clause, masks, bits_of(masks.possible))
 
 
 def bits_of(possible: Bools) -> int:
-    """Returns a mask as the bits of an integer."""
+    """Returns a mask as an integer; bit n is 1 if the mask includes object n."""
     return int.from_bytes(np.packbits(possible, bitorder="little").tobytes(), "little")
 
 
@@ -84,8 +84,8 @@ class SceneParts:
             number: number of the object in the scene graph.
             words: grammar of the language.
             has_colours: whether landmarks are named by their colour, too.
-            among: hashable description of the others, which does not depend on the start; `None` if there is none.
-            others: numbers of the others, at least one.
+            among: hashable description of the other objects, the key of the cache; `None` if they depend on the start.
+            others: numbers of the other objects, at least one.
         """
         parts = _StaticParts(self.facts, number, words, has_colours)
         if among is None:
@@ -96,7 +96,7 @@ class SceneParts:
         return self._selected[key]
 
     def descriptions(self, number: int, words: Grammar, has_colours: bool, near: Collection[int]) -> list[Described]:
-        """Returns short descriptions of objects near an object, of other kinds than its kind."""
+        """Returns short descriptions of the objects `near` whose kind differs from the kind of object `number`."""
         return _StaticParts(self.facts, number, words, has_colours).descriptions(near)
 
 
@@ -209,7 +209,7 @@ class _StaticParts:
 
 
 def is_least(values: Floats, number: int, others: Sequence[int]) -> bool:
-    """Returns whether a value is clearly the smallest. Negated distances select the largest distance."""
+    """Returns whether an object has clearly the smallest value; with negated distances, the largest distance."""
     own, rest = float(values[number]), float(values[others].min())
     if own >= 0:
         return rest >= max(own * limit.DISTANCE_RATIO, own + limit.DISTANCE_GAP_M)

@@ -52,18 +52,18 @@ class ExpressionHead(NamedTuple):
 
 
 class ExpressionCandidate(NamedTuple):
-    """Expression whose model is not made yet, because most candidates are not drawn."""
+    """Parts of an expression. `expression` builds its model only on demand, because most candidates are not drawn."""
 
     head: ExpressionHead
     parts: tuple[ExpressionPart, ...] = ()
     size: Size | None = None
     ordinal: Ordinal | None = None
     superlative: Clause | None = None
-    """Relation nearest or farthest, with its landmark."""
+    """Clause with the relation `nearest_to`, `farthest_from` or `nearest_you`."""
 
     @property
     def selector(self) -> tuple[Size | None, Ordinal | None, Clause | None]:
-        """Superlative or ordinal."""
+        """Size, ordinal and superlative clause, of which at most one is not `None`."""
         return self.size, self.ordinal, self.superlative
 
     def families(self, kind: str) -> frozenset[Family]:
@@ -108,7 +108,7 @@ class Search:
 
     Args:
         scene: parts that do not depend on the start.
-        view: relations from the start; `None` if none is known.
+        view: relations to the start pose; `None` if the start pose is unknown.
         number: number of the target in the scene graph.
         families: features that may be used.
         words: grammar of the language, which limits what can be named.
@@ -185,7 +185,8 @@ class Search:
                     yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), found)
 
     def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[ExpressionCandidate]:
-        """Returns the expressions in which a superlative or an ordinal selects the target among the fitting objects."""
+        """Returns the expressions in which a superlative or an ordinal selects the target among the objects that the
+        head and the parts fit."""
         key = head.kind, head.colour, head.material, tuple(part.clause for part in parts)
         if key not in self._selected:
             among = head.masks

@@ -23,10 +23,10 @@ _ASIDE_TAN, _FACING_TAN = (tuple(math.tan(angle) for angle in band) for band in 
 
 
 class _Wayside(NamedTuple):
-    """Objects along one side of the way ahead; distances (N,) in metres."""
+    """Objects along one side of the way ahead, the straight line along the heading; distances (N,) in metres."""
 
     masks: Masks
-    """Objects ahead and beside the way."""
+    """Objects that are ahead of the start and beside the way."""
     middle: Floats
     low: Floats
     high: Floats
@@ -35,7 +35,7 @@ class _Wayside(NamedTuple):
     """Distance of the near side from the axis of the heading."""
 
     def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
-        """Returns which objects are hidden from the axis by another object that is surely counted."""
+        """Returns which objects are hidden, as seen from the way ahead, by an object that is surely counted."""
         low, high, near = self.low[numbers], self.high[numbers], self.near[numbers]
         shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
         covers = (shared >= limit.ROW_HIDDEN * (high - low)) & (near >= near[:, None] + limit.ROW_HIDDEN_M)
@@ -60,7 +60,7 @@ class ViewFacts:
         depth = offset[..., 0] * axis[:, None, 0] + offset[..., 1] * axis[:, None, 1]
         side = axis[:, None, 0] * offset[..., 1] - axis[:, None, 1] * offset[..., 0]
         close, distinct = self.scene.close, self.scene.distinct[rows]
-        # the landmark is seen; the object is seen or may be somewhere else in the same room
+        # sure: both are surely visible; possible: the landmark may be visible, and the object may be anywhere near it
         sure = close.sure[rows] & distinct & view.sure[rows, None] & view.sure & ~self.scene.stacked[rows]
         possible = close.possible[rows] & distinct
         apart = np.abs(view.bearing - view.bearing[rows, None])
@@ -120,7 +120,7 @@ class ViewFacts:
         return found
 
     def row(self, among: Masks, side: ViewSide, number: int) -> list[int]:
-        """Returns the objects that are counted along one side of the way ahead, up to the first that is not certain.
+        """Returns the objects along one side of the way ahead, in order, up to the first whose place is not certain.
 
         Args:
             among: objects to count.

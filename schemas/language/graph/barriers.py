@@ -17,7 +17,7 @@ _CHUNK = 4096
 
 
 def find_barriers(low: Floats, high: Floats, sight: CellGrid) -> Bools:
-    """Returns the (N, N) pairs of objects with a wall between them; no pair whose middles are more than 7 m apart.
+    """Returns the (N, N) pairs of objects with a wall between them, omitting pairs whose middles are 7 m or more apart.
 
     Args:
         low: (N, 2) lower corners of the bounding rectangles, metres.

@@ -1,4 +1,4 @@
-"""Finds the objects of a compiled scene that words can name, or that a viewer may take for one of them.
+"""Finds the objects of a compiled scene that words can name, or that a viewer may take for such an object.
 
 Measures their boxes only; rooms and walls are computed by `graph`.
 """
@@ -24,7 +24,7 @@ class RawObject:
     ids: tuple[int, ...]
     """Instance ids of its parts."""
     kind: str
-    """Category, a special case of it, or kind of a landmark."""
+    """Category, special kind of a category, or kind of a landmark."""
     low: Floats
     """(3,) lower corner of its bounding box, metres."""
     high: Floats
@@ -34,7 +34,7 @@ class RawObject:
     colour: str = UNKNOWN
     """Dominant colour, or `unknown`."""
     target_id: str | None = None
-    """Target that the object is, or `None`."""
+    """Target id of the object; `None` if it is not a target."""
     looks: str | None = None
     """Kind that its prim names, if it differs from `kind` and a viewer may see the object as that kind."""
     shows: tuple[str, ...] = ()
@@ -44,7 +44,7 @@ class RawObject:
 
 
 def find_objects(scene: CompiledScene, table: Kinds) -> list[RawObject]:
-    """Returns the objects that have a category, or whose prim names a kind or resembles one.
+    """Returns the objects that have a category, and those whose prim is named like a kind or like something similar.
 
     Args:
         scene: compiled scene.
@@ -107,7 +107,7 @@ def _of_category(
 
 
 def _landmark_key(table: Kinds, segments: Sequence[str]) -> tuple[str, tuple[str, ...], str] | None:
-    """Returns kind, kinds that a viewer may see, and path of the object that a prim without a category belongs to."""
+    """Returns kind, kinds that a viewer may see, and path of the object that contains a prim without a category."""
     named, seen = table.landmark_of(segments), table.seen_in(segments)
     if named is not None:
         return named[0], (), "/".join(segments[: named[1] + 1])

@@ -168,7 +168,7 @@ def _close_openings(walls: Bools, resolution_m: float, opening_m: float) -> Bool
 
 
 def nearest_room(rooms: CellGrid, points: Floats, within_m: float = 0.6) -> Ints:
-    """Returns the room at each of (N, 2) points, or of the nearest cell with a room within a distance; otherwise 0."""
+    """Returns the room at each of (N, 2) points; outside of rooms, the nearest room within a distance, or 0."""
     labels = np.asarray(rooms.values, np.int64)
     distance, nearest = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
     row, column = rooms.cells(points)
@@ -202,8 +202,8 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
 
 
 def _gaps(walls: CellGrid, points: Floats, ways: Floats, reach: Floats) -> Floats:
-    """Returns (N, D) distances to the first wall in each direction, metres, from the edges of objects, which are at
-    distances `reach` (N, D) from their points (N, 2)."""
+    """Returns (N, D) distances from the edge of each object to the first wall in each direction, metres. `reach` (N, D)
+    is the distance from the point (N, 2) of an object to its edge."""
     steps = np.arange(0.0, _FAR_M, walls.resolution_m / 2)
     gaps = np.full(reach.shape, _FAR_M)
     for direction, way in enumerate(ways):

@@ -42,7 +42,7 @@ class SceneObject:
     ids: tuple[int, ...]
     """Instance ids of its parts."""
     kind: str
-    """Category, or kind of a landmark."""
+    """Category, special kind of a category, or kind of a landmark."""
     colour: str
     """Dominant colour, or `unknown`."""
     low_m: tuple[float, float, float]
@@ -52,7 +52,7 @@ class SceneObject:
     outline_m: tuple[tuple[float, float], ...]
     """Vertices x, y of its footprint, counter-clockwise, metres; the bounding rectangle if none is recorded."""
     target_id: str | None
-    """Target that the object is, or `None`."""
+    """Target id of the object; `None` if it is not a target."""
     room: int
     """Number of its room; 0 if unknown or between rooms."""
     wall_gap_m: float
@@ -66,9 +66,9 @@ class SceneObject:
     shows: tuple[str, ...] = ()
     """Kinds of objects that a viewer may see in a part of it, such as a monitor in the screen of a till."""
     area: int = 0
-    """Number of the part of its room, which wide openings divide; 0 if unknown."""
+    """Number of the part of its room; wide openings divide a room into parts. 0 if unknown."""
     materials: tuple[str, ...] = ()
-    """Recorded materials: the one that covers most of it first, then others that are visible; empty if unknown."""
+    """Recorded materials: first the material of most of its surface, then other visible ones; empty if unknown."""
     top: SurfaceTop | None = None
     """Flat upper side; `None` if the object has none or nothing can be put on its kind."""
 
@@ -86,7 +86,7 @@ class SceneGraph:
     room_grid: CellGrid
     """Number of the room of each cell."""
     area_grid: CellGrid
-    """Number of the part of a room of each cell, which wide openings divide; 0 close to an opening."""
+    """Number of the part of a room at each cell; wide openings divide a room into parts. 0 close to an opening."""
     sight_grid: CellGrid
     """0 free, 1 occupied by an object, 2 wall."""
     floor_m: float
@@ -128,7 +128,8 @@ class SceneGraph:
         return find_barriers(self.low[:, :2], self.high[:, :2], self.sight_grid) & is_known
 
     def areas_of_type(self, room: int, kind: str) -> frozenset[int]:
-        """Returns the parts of a room that show its type: those with an object of the type, or its only part."""
+        """Returns the parts of a room that show its type: parts with an object that defines the type. If the shape of
+        the room defines the type, the only part, or no part of a room with several parts."""
         areas = frozenset(each.area for each in self.objects if each.room == room)
         shown = self.kinds.rooms[kind].has
         held = frozenset(each.area for each in self.objects if each.room == room and each.kind in shown)
@@ -136,7 +137,7 @@ class SceneGraph:
 
     @cached_property
     def number_of(self) -> dict[str, int]:
-        """Number of the object of each target."""
+        """Number in `objects` of each object that is a target, by target id."""
         return {each.target_id: number for number, each in enumerate(self.objects) if each.target_id is not None}
 
     def room_at(self, x: float, y: float) -> int:

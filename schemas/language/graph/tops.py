@@ -11,7 +11,8 @@ from schemas.scene import CompiledScene
 from schemas.support.numpy_types import Bools, Floats, Ints
 
 _FLAT_M, _FLAT_SHARE, _UPRIGHT = 0.02, 0.6, 0.98
-"""A top is flat if faces within this height of it, whose normals point up, cover this share of the footprint."""
+"""A top is flat if faces within the height `_FLAT_M` (metres) below it, whose unit normals have a z above `_UPRIGHT`,
+cover the share `_FLAT_SHARE` of the footprint."""
 _ABOVE_M = 0.6
 """Height of the space above a top, metres. A top is empty only if no other instance reaches into this space."""
 _EDGE_M = 0.03

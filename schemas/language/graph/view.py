@@ -27,7 +27,7 @@ _STEP_CELLS = 1.5
 _TALL_M = 0.6
 """An object is at image height if the image shows half of its height, or this height, metres."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
-"""Points of a footprint, the centre first, in half extents."""
+"""Ends of the lines of sight to an object: offsets from its centre, as shares of its half width and half length."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
     room, area = graph.room_at(x, y), graph.area_at(x, y)
     is_facing = ~graph.hangs | (graph.room_of == room) & (
         room > 0
-    )  # lines of sight end before the wall behind an object
+    )  # the wall behind an object blocks no line of sight, because the lines end before the object
     low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
     middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
     return SceneView(

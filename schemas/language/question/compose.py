@@ -57,7 +57,7 @@ class AskedEpisode(NamedTuple):
     is_false_premise: bool = False
     """Whether the robot stays at its start because the object that its instruction names does not exist."""
     images: FrameImages | None = None
-    """Recorded instance ids and depth; `None` for an episode of states."""
+    """Recorded instance ids and depth; `None` for an episode without images."""
 
 
 _Answer = tuple[QuestionMeaning, tuple[int, int]]
@@ -154,7 +154,7 @@ class _Answers:
                 return None
             named = self._named(int(self._rng.choice(seen)))
             fitting = self._facts.described(named.kind, named.colour).sure & view.sure
-            if not fitting.any():  # a stool is only a borderline case of its category chair
+            if not fitting.any():  # a chair that looks like a stool is a borderline case of a chair
                 return None
             nearest = min(np.flatnonzero(fitting).tolist(), key=lambda each: float(distance[each]))
             side, metres = side_of(float(view.bearing[nearest])), rounded(float(distance[nearest]))
@@ -218,7 +218,7 @@ class _Answers:
         return QuestionMeaning(kind=QuestionKind.WHERE, answer=AnswerKind.UNSEEN, reason=reason)
 
     def _feasible(self, language: SpokenLanguage, held_out: bool) -> _Answer | None:
-        """Returns a question that quotes an instruction of the start: one object fits it, none, or several."""
+        """Returns a question about an instruction at the start of the episode, which one, no or several objects fit."""
         draw, view = self._rng.random(), look(self._graph, self._path.pose(0), self._place.camera)
         scene, number = self._scene, self._episode.number
         text, answer, reason = None, AnswerKind.NO, ReasonKind.NONE_FITS

@@ -17,7 +17,7 @@ from schemas.language.question.model import AnswerKind, QuestionMeaning, ReasonK
 from schemas.language.route.thresholds import METRES
 
 _CLEAR_PX, _HIDDEN_PX = 60, 12
-"""Smallest mask of an object that is visible, and largest mask of one that is not, pixels of 640 x 640."""
+"""Smallest mask of a visible object, and largest mask of an object that is not visible, pixels of 640 x 640."""
 _SIDE_RAD = math.radians(8)
 """Tolerance of directions, because other objects hide a part of a mask, radians."""
 _METRES_FREE = 0.4

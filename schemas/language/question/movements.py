@@ -17,7 +17,7 @@ from schemas.language.route.segment import divide_path
 from schemas.language.route.steps import SceneRoutes
 
 _BEFORE_DOOR_M = 2.0
-"""Distance before a doorway from which it is the next movement, metres."""
+"""Distance before a doorway from which the next movement is to drive through it, metres."""
 _CLEAR_RAD = math.radians(30)
 """Smallest change of heading of a movement that is called a turn."""
 _DONE_M = 0.1
@@ -92,7 +92,7 @@ def _reason(
 
 
 def _beyond(place: SceneRoutes, number: int, path: DrivenPath, t: int) -> tuple[float, float]:
-    """Returns x, y from the robot to the bounding rectangle of an object, metres."""
+    """Returns the gaps along x and y between the robot and the bounding rectangle of an object, metres."""
     low, high, point = (place.scene.graph.low[number], place.scene.graph.high[number], path.xy[t])
     x, y = np.maximum(0, np.maximum(low[:2] - point, point - high[:2])).tolist()
     return x, y

@@ -1,4 +1,4 @@
-"""Reads a question with its answer and reason back: returns every meaning. Does not use their writer."""
+"""Reads a question with its answer and reason back: returns every meaning. Does not use the code that writes them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class _Pattern(NamedTuple):
     name: str
     pattern: re.Pattern[str]
     quotes: bool
-    """Whether it ends with an instruction, which is read as it was written."""
+    """Whether it ends with a quoted instruction, so that the sentence is matched without being normalised."""
 
 
 class QuestionReader:
@@ -51,7 +51,7 @@ class QuestionReader:
         }  # fmt: skip
 
     def read(self, question: str, answer: str, reason: str | None) -> list[QuestionMeaning]:
-        """Returns all readings; empty if a text is not one of the language."""
+        """Returns all readings; empty if a text matches no pattern of the language."""
         asked, replied = list(self._parts(self._questions, question)), list(self._parts(self._answers, answer))
         given = [("", {})] if reason is None else list(self._parts(self._reasons, reason))
         found: list[QuestionMeaning] = []
@@ -72,7 +72,7 @@ class QuestionReader:
         return found
 
     def _parts(self, patterns: Iterable[_Pattern], sentence: str) -> Iterator[tuple[str, dict[str, object]]]:
-        """Yields the name of each pattern that a sentence follows, with the meaning of its slots."""
+        """Yields the name of each pattern that a sentence matches, with the meaning of its slots."""
         written = sentence.strip()
         text = self._language.normal(written)
         for each in patterns:
@@ -124,5 +124,5 @@ class QuestionReader:
 
 @cache
 def question_reader(code: str, language: Reader) -> QuestionReader:
-    """Returns the reader of questions in a language with the words of a reader of referring expressions."""
+    """Returns the reader of questions in a language, which reads referring expressions with the given reader."""
     return QuestionReader(code, language)

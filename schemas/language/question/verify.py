@@ -74,7 +74,7 @@ class QuestionVerifier:
         reader = question_reader(asked.language, language)
         readings = reader.read(asked.question, asked.answer, asked.reason)
         if not readings:
-            return "the texts are not those of the language"
+            return "the texts do not match the patterns of the language"
         return next(filter(None, (self._fault(each, start, end, language, images) for each in readings)), "")
 
     def _fault(
@@ -82,11 +82,11 @@ class QuestionVerifier:
     ) -> str:
         match meaning.kind:
             case QuestionKind.FEASIBLE:
-                return self._feasible_fault(meaning, language) if start == 0 else "an instruction belongs to frame 0"
+                return self._feasible_fault(meaning, language) if start == 0 else "the question is not about frame 0"
             case QuestionKind.NEXT:
                 return self._movement_fault(meaning.answer, start, end) or self._reason_fault(meaning, start, end)
         if end != start + 1:
-            return "a view consists of one frame"
+            return "the question is about more than one frame"
         fitting, fault = self._seen_fault(meaning, start)
         if fault or images is None:
             return fault
@@ -176,7 +176,7 @@ class QuestionVerifier:
         view = look(self._graph, (x, y, self._replay.yaw(0)), self._camera)
         verdicts = [self._expressions.evaluate(each.expression, view) for each in language.read(meaning.instruction)]
         if not verdicts:
-            return "the instruction is not one of the grammar"
+            return "the instruction does not match the grammar"
         match meaning.reason:
             case ReasonKind.ONE_FITS:
                 is_right = all(

@@ -46,7 +46,7 @@ class QuestionWords(Model):
     code: Name
     """Code of the language."""
     metres: tuple[str, str]
-    """Length of one metre, and of several."""
+    """Text for a distance of one metre, and for several metres."""
     asked_sides: dict[SeenSide, str]
     """Parts of the view in questions."""
     sides: dict[SeenSide, str]

@@ -44,7 +44,7 @@ class RoomChange(NamedTuple):
 
 
 def find_doorways(graph: SceneGraph) -> tuple[RoomPassage, ...]:
-    """Returns the passages between two rooms: closed openings, and borders of rooms that touch."""
+    """Returns the passages between two rooms: openings that `divide_rooms` closed, and borders of adjacent rooms."""
     labels = np.asarray(graph.room_grid.values, np.int64)
     resolution, origin = graph.room_grid.resolution_m, np.asarray(graph.room_grid.origin_m)
     clearance = scipy.ndimage.distance_transform_edt(np.asarray(graph.sight_grid.values) == 0) * resolution

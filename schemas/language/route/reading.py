@@ -47,7 +47,7 @@ class RouteReader:
         self._joints = {name: self._joint(own.joiners, own.last) for name, own in words.registers.items()}
 
     def read(self, text: str) -> list[tuple[RouteStep, ...]]:
-        """Returns all readings of the text of a route; empty if it is not a route of the grammar."""
+        """Returns all readings of the text of a route; empty if the text does not match the grammar."""
         whole = self._language.normal(text.strip())
         found: dict[tuple[RouteStep, ...], None] = {}
         for frame in self._words.frames:
@@ -133,6 +133,6 @@ def route_reader(code: str, language: Reader | None = None) -> RouteReader:
 
     Args:
         code: code of the language.
-        language: reader of referring expressions; by default that of the built-in nouns.
+        language: reader of referring expressions; by default, the reader with the built-in nouns.
     """
     return _reader(code) if language is None else RouteReader(route_words(code), language)

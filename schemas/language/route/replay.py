@@ -75,7 +75,7 @@ class PoseReplay:
         return float(footprint_distances((point.real, point.imag), self.graph.objects[number].outline_m))
 
     def frames(self, start: int, end: int) -> list[int]:
-        """Returns some frames of a span, with the last one."""
+        """Returns every fourth frame of a span, and its last frame."""
         return [*range(start, end - 1, _EVERY), end - 1]
 
     def room(self, t: int) -> int:
@@ -83,7 +83,8 @@ class PoseReplay:
         return self._rooms[t]
 
     def passage_width(self, t: int) -> float:
-        """Returns the smallest width of the free space in any direction within 0.7 m of a frame, metres."""
+        """Returns the smallest width of the free space in any direction, on the path within 0.7 m of its position at a
+        frame, metres."""
         near = [point for point in self._points if abs(point - self._points[t]) < _PASSAGE_M]
         points = np.array(near[:: max(1, len(near) // 12)])[:, None, None]
         ways = np.exp(1j * np.pi * np.arange(2 * _DIRECTIONS) / _DIRECTIONS)[:, None]

@@ -40,7 +40,7 @@ def divide_path(path: DrivenPath) -> list[PathPart]:
 
 
 def _runs(yaw: Floats, along: Floats, first: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Yields the straight runs within samples first to stop, the longest one first."""
+    """Yields the straight runs within the samples from `first` to `stop`, the longest run first."""
     if stop - first < 2 or along[stop - 1] - along[first] < RUN_M:
         return
     begin, end = _longest(yaw, along, first, stop)
@@ -52,7 +52,7 @@ def _runs(yaw: Floats, along: Floats, first: int, stop: int) -> Iterator[tuple[i
 
 
 def _longest(yaw: Floats, along: Floats, first: int, stop: int) -> tuple[int, int]:
-    """Returns the samples of the longest stretch whose headings differ by less than the limit."""
+    """Returns the samples of the longest stretch whose headings differ by at most `STRAIGHT_RAD`."""
     lows: deque[int] = deque()
     highs: deque[int] = deque()
     best, begin = (first, first + 1), first
@@ -72,7 +72,7 @@ def _longest(yaw: Floats, along: Floats, first: int, stop: int) -> tuple[int, in
 
 
 def _joined(path: DrivenPath, spans: list[tuple[int, int]]) -> list[PathPart]:
-    """Returns the parts: runs are cut to where the heading is settled, and joined if no turn is between them."""
+    """Returns the parts of a path: cuts runs to their settled heading, and joins runs without a turn between them."""
     smallest = TURN_RAD[TurnSize.SLIGHT][0]
     settled = [_settled(path, start, end) for start, end in spans]
     edges = [0, *(edge for span in settled for edge in span), len(path) - 1]
@@ -92,7 +92,7 @@ def _joined(path: DrivenPath, spans: list[tuple[int, int]]) -> list[PathPart]:
 
 
 def _settled(path: DrivenPath, start: int, end: int) -> tuple[int, int]:
-    """Returns a run without the frames at its ends whose heading is not yet, or no longer, that of the run."""
+    """Returns the first and last frame of a run whose heading is close to the median heading of the run."""
     heading = float(np.median(path.yaw[start : end + 1]))
     near: Ints = np.flatnonzero(np.abs(path.yaw[start : end + 1] - heading) < _SETTLED_RAD)
     return start + int(near[0]), start + int(near[-1])

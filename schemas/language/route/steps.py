@@ -26,7 +26,7 @@ from schemas.language.sentence.grammar import Grammar
 from schemas.support.numpy_types import Bools, Floats
 
 _LATER = frozenset(Family) - {Family.VIEW}
-"""Features of a target that is reached after other steps: "as seen from here" would mean the start of the route."""
+"""Features that a last step after other steps may use: "as seen from here" would mean the start of the route."""
 _SHORT_M = 0.8
 """Length up to which a straight run belongs to the turn after it, metres."""
 _BEYOND_M = 0.3
@@ -163,7 +163,7 @@ class RouteSearch:
         return []
 
     def _cut(self, part: PathPart) -> list[PathPart]:
-        """Returns a last turn in two parts: until the heading of the end is reached, and the rest."""
+        """Divides the last turn into two parts: until the final heading is reached, and the rest."""
         left = np.abs(self._path.yaw[part.start : part.end] - self._path.yaw[part.end - 1])
         settled = part.start + int(np.flatnonzero(left > math.radians(4))[-1]) + 1
         settled = min(settled, part.end - 1)
@@ -250,7 +250,8 @@ class RouteSearch:
         return np.asarray(np.hypot(*np.moveaxis(beyond.clip(0.0), -1, 0)))
 
     def _passed(self, start: int, end: int) -> Iterator[tuple[int, RobotSide, int]]:
-        """Yields the frame after which an object is behind the robot, its side, and its number, in this order."""
+        """Yields for each passed object, in the order of passing: the frame after which it is behind the robot, its
+        side, and its number."""
         frames = np.arange(start, end, _EVERY)
         ahead, left = self._offsets(frames)
         gaps = self._gaps(frames)
@@ -291,7 +292,7 @@ class RouteSearch:
         return np.asarray(np.logical_or.reduce([(self._gaps(frames) <= _NEAR_M).any(axis=0), *seen]))
 
     def _onward(self, start: int, end: int, length_m: float) -> SpannedStep:
-        """Returns a step straight on: towards an object ahead, or for a distance."""
+        """Returns a step that goes straight on, either towards an object ahead or for a distance."""
         view = self._view(start)
         ahead = np.abs(view.bearing) <= limit.TOWARDS_RAD.good
         nearer = np.hypot(*(self._facts.centre - self._path.xy[end - 1]).T) <= view.distance * (1 - limit.TOWARDS_SHARE)
@@ -305,10 +306,10 @@ class RouteSearch:
         return SpannedStep(RouteStep(kind=StepKind.FORWARD, metres=max(1, round(length_m))), start, end)
 
     def _arrival(self, start: int, end: int, left_m: float) -> list[SpannedStep]:
-        """Returns the last step, or a step straight on and a last step that begins nearer to the target.
+        """Returns the last step; or a step that goes straight on, and a last step that begins nearer to the target.
 
-        The last step begins at the first tried place from which some words fit only the target; without such a place,
-        the result is empty.
+        The last step begins at the first of several places from which some words fit only the target. Without such a
+        place, the result is empty.
         """
         stop = self._stop(start, end)
         if stop is not None:

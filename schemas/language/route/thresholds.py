@@ -26,17 +26,17 @@ CORNER_RAD = (math.radians(30), math.radians(150))
 STRAIGHT_RAD = math.radians(25)
 """Largest range of headings of a straight run; a larger change of heading is a turn."""
 UNSAID_RAD = math.radians(60)
-"""Range of headings from which a step that names no turn is wrong."""
+"""Range of headings above which a step that names no turn is wrong."""
 REVERSED_RAD = math.radians(20)
 """Largest change of heading opposite to the direction of a turn."""
 RUN_M = 1.0
 """Smallest length of a straight run, metres."""
 METRES = Band(0.25, 0.5)
-"""Error of a distance that a step names, as a share of the driven one."""
+"""Error of a distance that a step names, as a share of the driven distance."""
 METRES_FREE = 0.15
 """Absolute part of the allowed error of a named distance, metres; it is added to the relative part."""
 PASS_M = Band(1.8, 3.0)
-"""Gap between the centre of the robot and the footprint of a passed object where it is smallest, metres."""
+"""Smallest gap between the centre of the robot and the footprint of an object while the robot passes it, metres."""
 BEHIND_M = Band(0.6, -0.3)
 """Distance by which the middle of a passed object is behind the robot at the end of the step, metres."""
 BEFORE_M = Band(0.7, 0.3)
@@ -54,7 +54,7 @@ DOORWAY_M = Band(2.2, 3.0)
 DOOR_AHEAD_RAD = math.radians(45)
 """Sector around the heading at the start of the step in which another doorway makes the step ambiguous."""
 NEXT_DOOR_M = 2.5
-"""Distance behind the doorway from which another doorway does not make the step ambiguous, metres."""
+"""Another doorway does not make the step ambiguous if it is farther away by more than this distance, metres."""
 STOP_M = Band(1.3, 2.0)
 """Gap between the robot at the end and the footprint of the target, metres."""
 AMBIGUOUS_M = 7.0

@@ -56,10 +56,10 @@ class RouteVerifier:
             return "the spans do not cover the frames"
         readings = language.read(route.text)
         if not readings:
-            return "the text is not a route of the grammar"
+            return "the text does not match the grammar of routes"
         for each in route.steps:
             if not language.read_step(each.text):
-                return "a step is not a sentence of the grammar"
+                return "a step does not match the grammar"
         alone = [language.read_step(each.text) for each in route.steps]
         replay = PoseReplay(self._graph, poses, self._camera)
         for steps in readings:
@@ -99,7 +99,7 @@ class RouteVerifier:
                 return self._object_fault(step, replay, start, end, target)
 
     def _unsaid(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> str:
-        """Returns which turn or doorway within the span the step does not name."""
+        """Returns a fault if the span has a turn or a doorway that the step does not name; otherwise an empty text."""
         headings = replay.headings(start, end)
         if step.kind not in (StepKind.TURN, StepKind.CORNER) and max(headings) - min(headings) > limit.UNSAID_RAD:
             return "it does not name a turn"
@@ -124,7 +124,8 @@ class RouteVerifier:
         return driven is not None and all(replay.room(k) in (0, room) for k in range(t, driven + 1))
 
     def _entered_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> tuple[str, int, int]:
-        """Returns why the robot does not enter the room of a step, then the room before and the doorway's frame."""
+        """Returns why the robot does not enter the room of a step (empty if it does), the room before, and the frame at
+        which the robot enters."""
         rooms = [(t, replay.room(t)) for t in range(start, end) if replay.room(t)]
         first = next((room for t in range(start, -1, -1) if (room := replay.room(t))), 0)  # it may start in a doorway
         before, after = (first or rooms[0][1], rooms[-1][1]) if rooms else (0, 0)
@@ -150,7 +151,7 @@ class RouteVerifier:
         return ""
 
     def _object_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int, target: int) -> str:
-        """Returns why the object of `towards`, `pass` or `stop` is not where the step says, or not unique."""
+        """Returns why the object of `towards`, `past` or `stop` is not where the step says, or not unique."""
         assert step.named is not None
         fitting = self._fitting(step.named, replay, start, end)
         if len(fitting) != 1:
@@ -172,7 +173,10 @@ class RouteVerifier:
                 return "" if replay.gap(number, end - 1) <= limit.STOP_M.good else "the robot stops elsewhere"
 
     def _fitting(self, named: Expression, replay: PoseReplay, start: int, end: int) -> set[int]:
-        """Returns the objects that the words fit: in the scene; around the step if only kind and colour are named."""
+        """Returns the objects that the words fit: in the scene, or near the step if only kind and colour are named.
+
+        The number -1 is added if the words fit an object near the step only as a borderline case.
+        """
         if named.clauses or named.size is not None or named.ordinal is not None:
             x, y = replay.position(start)
             view = look(self._graph, (x, y, replay.yaw(start)), self._camera)

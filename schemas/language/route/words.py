@@ -56,7 +56,7 @@ class RouteWords(Model):
     full_stop: str
     """End of a sentence."""
     metres: tuple[str, str]
-    """Length of one metre, and of several."""
+    """Text for a distance of one metre, and for several metres."""
     turn_words: dict[RobotSide, tuple[str, ...]]
     """Directions of turns."""
     pass_words: dict[RobotSide, tuple[str, ...]]

@@ -1,1 +1,1 @@
-"""Sentences of a language: the grammar that writes them, the reader, added mistakes, and patterns from outside."""
+"""Sentences of a language: the grammar that writes them, the reader, added mistakes, and checks of new patterns."""

@@ -264,7 +264,7 @@ class Grammar(Model):
 
 
 def _place(ordinal: Ordinal) -> str:
-    """Returns the key of an ordinal number; the leftmost object has none."""
+    """Returns the key in `ordinals`; the word of the key `1` is empty, because "leftmost" needs no ordinal."""
     return "first" if ordinal.number == 1 and ordinal.side in AHEAD_SIDES else str(ordinal.number)
 
 

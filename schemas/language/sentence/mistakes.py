@@ -1,6 +1,6 @@
 """Adds a typing or speech error to a sentence, and checks that a sentence has exactly one error.
 
-The error never changes the meaning: a mistyped word is not another word of the grammar, and resembles at most one.
+The error never changes the meaning: a mistyped word is not a word of the grammar, and resembles only the intended word.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _slips(word: str, at: int) -> Iterator[str]:
 
 
 def _is_one_slip(wrong: str, right: str) -> bool:
-    """Returns whether two words differ by one swapped, missing, additional or other letter."""
+    """Returns whether two words differ by two swapped letters, or by one missing, additional or replaced letter."""
     if abs(len(wrong) - len(right)) > 1 or wrong == right:
         return False
     first = next((at for at, (one, two) in enumerate(zip(wrong, right, strict=False)) if one != two), None)

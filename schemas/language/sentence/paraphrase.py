@@ -1,6 +1,6 @@
-"""Decides whether a text from outside is a usable sentence pattern: one slot, an action, no negation, no other content.
+"""Decides whether a new text is a usable sentence pattern: one slot, an action, no negation, no other content.
 
-Asks no endpoint. A pattern that passes may still be unusual; its sentences are read back like all others.
+Calls no model endpoint. A pattern that passes may still be unusual; its sentences are read back like all others.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _MOST_CHARACTERS = 160
 
 
 def plain_patterns(source: Grammar, register: str) -> list[str]:
-    """Returns the patterns of a register that are paraphrased: each one with its first alternatives."""
+    """Returns the seen patterns of a register, to be paraphrased; of alternatives, only the first is kept."""
     return [alternatives(text)[0] for text in source.patterns[register].seen]
 
 
@@ -41,7 +41,7 @@ def pattern_fault(code: str, text: str) -> str:
     source, own = grammar(code), _known_words(code)
     case, governor = slots[0][1], _last_word(before)
     if source.genders and (case or "nom", governor) not in own.governed:
-        return "the grammar never has the word before the slot there, so the case of the slot may be wrong"
+        return "no built-in pattern has this word before a slot with this case, so the case may be wrong"
     return _content_fault(source, around.lower(), set(_WORD.findall(around.lower())), own.content)
 
 

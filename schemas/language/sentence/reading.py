@@ -47,7 +47,7 @@ class _Words:
 
 
 class _Noun(NamedTuple):
-    """Part of a referring expression without relations."""
+    """Article, adjectives, noun and side of a referring expression, without its relations."""
 
     parts: Mapping[str, object]
     end: int
@@ -92,7 +92,7 @@ class Reader:
         return found
 
     def read(self, sentence: str) -> list[Reading]:
-        """Returns all readings of a sentence; empty if it is not a sentence of the grammar."""
+        """Returns all readings of a sentence; empty if the sentence does not match the grammar."""
         text = self.normal(sentence.strip())
         found = []
         for end in range(len(text)):
@@ -169,7 +169,7 @@ class Reader:
                 yield Clause(relation=relation, landmarks=tuple(landmarks), room=room, count=count), end
 
     def _noun(self, text: str, at: int) -> _Noun | None:
-        """Returns article, adjectives and noun at a position."""
+        """Returns article, adjectives, noun and side at a position."""
         parts: dict[str, object] = {}
         end = at
         while True:
@@ -229,7 +229,7 @@ class Reader:
             for text in texts:
                 for whole in _forms(text):
                     pieces = SLOT.split(whole)  # literal, slot, case, literal, ...
-                    for place in range(2, len(pieces), 3):  # a noun in the plural is read by other words
+                    for place in range(2, len(pieces), 3):  # plural nouns have their own table
                         pieces[place - 1] = "many" if pieces[place] == "many" else pieces[place - 1]
                     parts = [piece for number, piece in enumerate(pieces) if number % 3 != 2]
                     yield relation, tuple(self.normal(part).strip() for part in parts if part.strip())

@@ -1,1 +1,1 @@
-"""Decides which objects an expression fits. Imports nothing of the generator."""
+"""Decides which objects an expression fits. Does not import the generator."""

@@ -34,7 +34,7 @@ def at_least(value: float, band: Band) -> Truth:
 
 
 def angle_between(angle_rad: float, turn_deg: float) -> float:
-    """Returns the absolute difference of two directions, radians in [0, pi]."""
+    """Returns the absolute difference of a direction in radians and one in degrees; radians in [0, pi]."""
     return abs(math.remainder(angle_rad - math.radians(turn_deg), 2 * math.pi))
 
 
@@ -89,7 +89,7 @@ class Footprints:
         return min(_to_segment(where, a, b) for a, b in zip(outline, outline[1:] + outline[:1], strict=True))
 
     def ranges_from(self, point: tuple[float, float], numbers: Iterable[int]) -> dict[int, float]:
-        """Returns the distances from a point to footprints, metres; exact for those that may be the nearest.
+        """Returns the distances from a point to footprints, metres; exact for each footprint that may be the nearest.
 
         The values of other footprints are lower bounds, which are still clearly larger than the smallest distance.
         """
@@ -188,7 +188,7 @@ class Footprints:
         return any(self.rests_on(number, other) for other in range(len(self._objects)) if other != number)
 
     def is_comparable(self, number: int) -> bool:
-        """Returns whether the size of an object is compared with that of others."""
+        """Returns whether the size of an object may be compared with the sizes of other objects."""
         return self._kinds.of(self._objects[number].kind).sized
 
     def height(self, number: int) -> float:
@@ -203,7 +203,7 @@ class Footprints:
         return sum(x * next_y - next_x * y for (x, y), (next_x, next_y) in sides) / 2 * self.height(number)
 
     def _share(self, number: int, other: int) -> float:
-        """Returns the share of an object's bounding rectangle within the footprint of another one, by samples."""
+        """Returns the share of an object's bounding rectangle within the footprint of another one, from samples."""
         key = number, other
         if key not in self._shares:
             near = abs(self._centres[number] - self._centres[other]) < self._radii[number] + self._radii[other]

@@ -1,4 +1,4 @@
-"""Decides whether a relation holds for one object of a scene graph, by its footprint, its room and the view.
+"""Decides from footprint, room and view whether a relation holds for one object of a scene graph.
 
 Independent of the generator. Reads neither words nor expressions.
 """
@@ -27,7 +27,7 @@ class ObjectRelations:
         self._graph, self._prints = graph, prints
 
     def is_in_parts(self, number: int, room: int, areas: Set[int]) -> Truth:
-        """Returns whether an object is in a room: surely in some parts of it, perhaps in others."""
+        """Returns whether an object is in a room: `YES` in the given parts of the room, `MAYBE` in its other parts."""
         each = self._graph.objects[number]
         if each.room == room:
             return Truth.YES if each.area in areas else Truth.MAYBE
@@ -39,7 +39,7 @@ class ObjectRelations:
         return Truth.MAYBE if not room or not own else Truth.YES if own == room else Truth.NO
 
     def is_beside(self, number: int, thing: int) -> Truth:
-        """Returns whether a thing is close to an object, and to no other one that has a top."""
+        """Returns whether a thing is close to an object, and clearly farther from all others that have a top."""
         if self._same_room(number, thing) is Truth.NO or self._prints.rests_on(thing, number) is Truth.YES:
             return Truth.NO
         gap = self._prints.gap(number, thing)
@@ -74,7 +74,7 @@ class ObjectRelations:
         return Truth.YES if one == two else Truth.NO
 
     def _is_undivided(self, number: int, other: int) -> bool:
-        """Returns whether surely no opening, however wide, is between two objects."""
+        """Returns whether two objects surely are in one part of a room, with no wide opening between them."""
         one, two = self._graph.objects[number].area, self._graph.objects[other].area
         return one == two != 0
 
@@ -88,7 +88,7 @@ class ObjectRelations:
         if relation is Relation.UNDER:
             return self._prints.is_under(number, other)
         together = self._same_room(number, other)
-        if together is Truth.MAYBE:  # beside a door or a window
+        if together is Truth.MAYBE:  # a door or a window is in no room, but other objects may be next to it
             together = Truth.YES
         if together is Truth.NO:
             return Truth.NO
@@ -134,7 +134,8 @@ class ObjectRelations:
         return min(found, Truth.MAYBE) if self._graph.walled[first, second] else found
 
     def is_near_enough(self, number: int, other: int, way: Selected) -> Truth:
-        """Returns whether an object may be called the nearest to another one; `YES` if `way` means the farthest."""
+        """Returns `MAYBE` if a wall, or another room, separates an object that is called the nearest from its landmark;
+        otherwise `YES`."""
         if way is Selected.MOST:
             return Truth.YES
         is_far = self._same_room(number, other) is Truth.NO or self._graph.walled[number, other]

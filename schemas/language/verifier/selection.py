@@ -13,14 +13,14 @@ from schemas.language.verifier.measure import AlongBox, Footprints, Truth, at_le
 
 
 class Selected(IntEnum):
-    """Kinds of measures by which a superlative selects."""
+    """Value that a superlative selects."""
 
     LEAST = -1  # the smallest value
     MOST = 1  # the largest value
 
 
 def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[int, Truth]:
-    """Returns the largest, smallest, tallest or lowest object if it is clear; otherwise all candidates."""
+    """Returns the largest, smallest, tallest or lowest object if it is clear; otherwise all candidates, as `MAYBE`."""
     tall = size in (Size.TALLEST, Size.LOWEST)
     if not all(prints.is_comparable(number) for number in truths):
         return dict.fromkeys(truths, Truth.MAYBE)
@@ -32,7 +32,7 @@ def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[in
 
 
 def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneView) -> dict[int, Truth]:
-    """Returns the object in view at a place counted from a side; all candidates if some are borderline."""
+    """Returns the object in view at a position counted from a side; all candidates, as `MAYBE`, if not certain."""
     sign = -1.0 if side is ViewSide.LEFT else 1.0
     seen = [number for number in truths if view.possible[number]]
     order = sorted(seen, key=lambda number: sign * float(view.bearing[number]))
@@ -51,7 +51,7 @@ def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneVie
 def counted_ahead(
     truths: Mapping[int, Truth], place: int, side: ViewSide, view: SceneView, prints: Footprints
 ) -> dict[int, Truth]:
-    """Returns the object at a place along one side of the way ahead; all candidates if some are borderline."""
+    """Returns the object at a position along one side of the way ahead; all candidates, as `MAYBE`, if not certain."""
     boxes = {number: prints.seen_along((view.x, view.y), view.yaw, number, AHEAD_SIDES[side]) for number in truths}
     found = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
     sure = [boxes[number] for number, truth in found.items() if truth is Truth.YES]
@@ -71,13 +71,13 @@ def counted_ahead(
 
 
 def _is_in_row(box: AlongBox) -> Truth:
-    """Returns whether an object is ahead and beside the way."""
+    """Returns whether an object is ahead of the start and beside the way."""
     aside = Truth.YES if box.near >= limit.ROW_ASIDE_M.good else Truth.MAYBE if box.far > limit.ROW_ASIDE_M.bad else 0
     return min(at_least(box.middle, limit.ROW_AHEAD_M), Truth(aside), at_most(box.near, limit.ROW_GAP_M))
 
 
 def _covers(cover: AlongBox, box: AlongBox) -> bool:
-    """Returns whether an object hides most of another one from the way."""
+    """Returns whether an object hides at least half of the length of another one, as seen from the way."""
     shared = min(cover.high, box.high) - max(cover.low, box.low)
     return box.near >= cover.near + limit.ROW_HIDDEN_M and shared >= limit.ROW_HIDDEN * (box.high - box.low)
 
@@ -89,7 +89,7 @@ def extreme(
     ratio: float = limit.DISTANCE_RATIO,
     gap: float = limit.DISTANCE_GAP_M,
 ) -> dict[int, Truth]:
-    """Returns the object with the extreme value if it is clear; otherwise all objects that may have it."""
+    """Returns the object with the smallest or largest value, if the difference is clear; otherwise all, as `MAYBE`."""
     best = max(truths, key=lambda number: way * values[number], default=None)
     if best is None:
         return {}

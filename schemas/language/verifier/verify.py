@@ -1,4 +1,4 @@
-"""Decides which objects of a scene graph an expression fits, and whether a sentence says what it should.
+"""Decides which objects of a scene graph an expression fits, and whether a sentence fits its target.
 
 Independent of the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
 definitions in docs/language.md. It shares the thresholds, the graph and the words with the generator.
@@ -35,12 +35,12 @@ class FittingObjects(NamedTuple):
         return not self.fault and self.sure == self.possible == {number}
 
     def fits_any(self, number: int) -> bool:
-        """Returns whether the expression fits an object of a set without borderline cases."""
+        """Returns whether the expression fits an object, perhaps among others, and has no borderline cases."""
         return not self.fault and self.sure == self.possible and number in self.sure
 
 
 class _Ambiguous(Exception):
-    """A definite landmark fits several objects."""
+    """The expression has no meaning in the scene, for example because a definite landmark fits several objects."""
 
 
 class Verifier:
@@ -57,20 +57,20 @@ class Verifier:
         self._fitting: dict[tuple[str, str | None, str | None], dict[int, Truth]] = {}
 
     def check(self, sentence: str, language: Reader, view: SceneView | None, number: int) -> str:
-        """Returns why a sentence does not fit the object that it should; empty if it does.
+        """Returns why a sentence does not fit its target; empty if it does.
 
-        A definite expression fits the object and no other one. An indefinite one fits it and other objects, without
-        borderline cases. Every reading of the sentence must fit.
+        A definite expression must fit the target and no other object. An indefinite expression must fit the target and
+        may fit other objects, without borderline cases. Every reading of the sentence must fit.
 
         Args:
             sentence: the instruction.
             language: reader of its language.
-            view: view at the start; `None` if none is known, which rejects relations to the view.
-            number: number of the object in the scene graph.
+            view: view at the start; `None` if it is unknown, so that expressions with a relation to it are rejected.
+            number: number of the target in the scene graph.
         """
         readings = language.read(sentence)
         if not readings:
-            return "the sentence is not one of the grammar"
+            return "the sentence does not match the grammar"
         return next(filter(None, (self._fault(reading, view, number) for reading in readings)), "")
 
     def is_false_premise(self, sentence: str, language: Reader, view: SceneView | None) -> bool:
@@ -204,7 +204,7 @@ class Verifier:
         return Truth.NO
 
     def _selected(self, truths: dict[int, Truth], expression: Expression, view: SceneView | None) -> dict[int, Truth]:
-        """Returns the objects that a superlative or an ordinal selects; all of them if there is none.
+        """Returns the objects that a superlative or an ordinal selects; all objects if the expression has neither.
 
         A superlative presupposes that there surely are several objects.
         """

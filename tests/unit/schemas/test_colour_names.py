@@ -51,7 +51,7 @@ def test_reference_colours_have_their_names(rgb: tuple[int, int, int], name: str
 
 
 def survey() -> tuple[np.ndarray, list[str]]:
-    """The colours (N, 3), 0..1, of the XKCD survey whose name ends in one basic term, and that term."""
+    """Returns the XKCD survey colours (N, 3), 0..1, whose names end in their only basic term, and these terms."""
     basic = {"grey": "gray", "navy": "blue", "maroon": "red"} | {name: name for name in COLOUR_NAMES}
     rows = {}
     for name, code in XKCD_COLORS.items():

@@ -1,4 +1,4 @@
-"""The codec of compiled scenes, where it concerns baked light and the sky."""
+"""Encoding and decoding of baked light and of the sky in compiled scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The 7 x 7 grid."""
+"""The 7 x 7 grid of action tokens."""
 
 from __future__ import annotations
 

@@ -72,14 +72,14 @@ def test_too_many_members_are_refused() -> None:
 
 def test_a_long_central_directory_is_refused_before_it_is_read() -> None:
     data = bytearray(pack({f"{n:0200d}": b"" for n in range(8)}))
-    struct.pack_into("<2H", data, len(data) - 14, 1, 1)  # entries on this disk and in all
+    struct.pack_into("<2H", data, len(data) - 14, 1, 1)  # number of entries on this disk and in total
     assert "a directory of 1968 bytes for 1 members" in refused(data)
 
 
 def test_records_of_64_bits_and_comments_are_refused() -> None:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as out:
-        for n in range(1 << 16):  # more than the short records can count
+        for n in range(1 << 16):  # one entry more than a 16-bit count can express
             out.writestr(str(n), b"")
     assert "it has no valid end record" in refused(buffer.getvalue())
     with zipfile.ZipFile(buffer := io.BytesIO(), "w") as out:
@@ -128,12 +128,12 @@ def test_members_with_extra_fields_and_comments_are_read() -> None:
 def test_forged_size_of_a_stored_member_is_refused() -> None:
     data = zipped()
     directory = data.index(b"PK\x01\x02")
-    data[directory + 20 : directory + 28] = struct.pack("<II", 900, 900)  # stored and claimed, both forged
+    data[directory + 20 : directory + 28] = struct.pack("<II", 900, 900)  # compressed and uncompressed size
     assert "members claim 900 bytes in a file of" in refused(bytes(data))
 
 
 def test_overlapping_members_claim_more_than_the_file_has() -> None:
-    """Many directory entries that share one body, as in overlapping zip bombs."""
+    """Two directory entries share one body, as in zip bombs with overlapping members."""
     data = pack({str(n): b"x" * 900 for n in range(2)})
     start, end = data.index(b"PK\x01\x02"), data.index(b"PK\x05\x06")
     entries = bytearray(data[start:end])

@@ -14,7 +14,7 @@ PAIRS = st.dictionaries(st.from_regex(r"ep_[0-9]{6}", fullmatch=True), st.from_r
 
 
 def test_digest_of_a_frame_is_pinned() -> None:
-    """The digest is part of the format: a change of this value is a new bundle format."""
+    """The digest is part of the bundle format: if this value changes, the format needs a new version."""
     assert frame_digest(RGB, DEPTH, IDS) == "9fe2a0aa1da6865030f2d6f338121325"
 
 

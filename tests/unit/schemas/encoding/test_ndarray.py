@@ -53,7 +53,7 @@ def test_numpy_reads_what_we_write() -> None:
 
 
 def test_a_header_in_another_notation_is_equivalent() -> None:
-    """The header of the product is recognised by its bytes; other headers are parsed."""
+    """A header as this project writes it is recognised by its bytes; any other header is parsed."""
     text = "{'shape':(4,3), 'fortran_order':False, 'descr':'<f4'}"
     data = header(f"{text}\n") + SMALL.tobytes()
     assert not encode_npy(SMALL).startswith(header(f"{text}\n"))
@@ -130,7 +130,7 @@ def test_frame_of_unknown_size_is_refused() -> None:
 def test_a_frame_with_an_understated_size_is_refused() -> None:
     compressor = zstandard.ZstdCompressor(write_content_size=True)
     honest = bytearray(compressor.compress(b"\x00" * 100_000))
-    lying = compressor.compress(b"\x00" * 90_000)[:8]  # magic, descriptor and the smaller size
+    lying = compressor.compress(b"\x00" * 90_000)[:8]  # magic number, descriptor and the understated size
     honest[: len(lying)] = lying
     with pytest.raises(InvalidBundle, match=r"damaged zstd frame|bytes of data|npy"):
         decode_npy_zst("thing", bytes(honest), np.float32, (None,), 1 << 20)
@@ -160,7 +160,7 @@ def test_every_flipped_bit_in_a_compressed_array_is_detected(data: st.DataObject
         found = decode_npy_zst("thing", bytes(bad), np.float32, SMALL.shape, 1 << 20)
     except InvalidBundle:
         return
-    assert np.array_equal(found, SMALL)  # a flipped bit that no decoder reads
+    assert np.array_equal(found, SMALL)  # the decoder does not read the flipped bit
 
 
 @pytest.mark.parametrize("header", [b"{'descr': '<f4', 'shape': (3,", b"(" * 5000, b"'''", b"{[" * 900, b"9" * 6000])

@@ -78,7 +78,7 @@ def test_fewer_pixels_than_stated_are_refused() -> None:
 
 def test_other_row_filter_is_refused() -> None:
     for other in (b"\x00", b"\x02"):
-        assert "a row filter other than" in refused(png(ROW * 4 + other + b"\x00" * 12))
+        assert "the row filters are neither" in refused(png(ROW * 4 + other + b"\x00" * 12))
 
 
 def test_id_images_of_old_datasets_with_the_png_filter_sub_are_decoded() -> None:

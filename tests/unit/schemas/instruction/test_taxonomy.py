@@ -30,7 +30,7 @@ def test_a_prim_that_is_named_by_a_synonym_has_its_category() -> None:
     rules = builtin_rules()
     wrong = {}
     for category, kind in load_taxonomy().items():
-        for name in (category, *kind.synonyms) if category != "box" else kind.synonyms:  # a box can be anything
+        for name in (category, *kind.synonyms) if category != "box" else kind.synonyms:  # any object can be named `box`
             rule = rules.match(f"SM_{name.title().replace(' ', '')}_01")
             if rule is None or rule.category != category:
                 wrong[name] = rule and rule.category

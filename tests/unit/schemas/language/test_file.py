@@ -37,7 +37,7 @@ def test_a_list_of_languages_gives_equal_shares(tmp_path):
         ("fit = 'any'\nredundant = 0.5", "`redundant` is for instructions that fit one object"),
         ("tempo = 1", "tempo: no such key"),
         ("nouns = {de = {robot_arm = ['Roboterarm']}}", "'Roboterarm' needs a gender, one of m, f, n"),
-        ("nouns = {en = {robot_arm = ['chair']}}", "'chair' is the noun of 'chair'"),
+        ("nouns = {en = {robot_arm = ['chair']}}", "'chair' is already a noun of the kind 'chair'"),
         ("nouns = {en = {robot_arm = []}}", "en.robot_arm has no noun"),
         ('nouns = {en = {robot_arm = ["arm\\u0007"]}}', "has characters that are not text"),
         ("nouns = {xx = {robot_arm = ['arm']}}", "unknown language 'xx'"),

@@ -1,4 +1,4 @@
-"""Measurements of a rig in a bundle: round trips, equal content for equal bytes, refusal, and bundles without a rig."""
+"""Measurements of a rig in a bundle: round trips, digests, refusal, and bundles without a rig."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file system of a path, from lists of mounts as the kernel writes them."""
+"""Finds the file system of a path in mount lists as the kernel writes them."""
 
 from __future__ import annotations
 

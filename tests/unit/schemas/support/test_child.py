@@ -20,7 +20,7 @@ SOURCES = [
 
 
 def nodes_of_files_with(word: str) -> Iterator[tuple[Path, ast.AST]]:
-    """Yields the syntax nodes of the sources that contain a word; only those are parsed."""
+    """Yields the syntax nodes of the source files that contain a word; other files are not parsed."""
     for path in SOURCES:
         source = path.read_text()
         if word in source:
@@ -78,8 +78,8 @@ def test_python_is_started_by_one_function_only() -> None:
         and ast.unparse(node) == "sys.executable"
     }
     assert {stray.partition(":")[0] for stray in strays} <= {
-        "factory/cli/main.py",  # runs itself again with the same arguments
-        "schemas/support/extras.py",  # names it in a message
+        "factory/cli/main.py",  # starts itself again with the same arguments
+        "schemas/support/extras.py",  # names the interpreter in a message
     }
 
 

@@ -1,4 +1,4 @@
-"""The command that installs an extra fits the installation, and the table of extras fits pyproject.toml."""
+"""The command that installs an extra suits the installation, and the table of extras agrees with pyproject.toml."""
 
 from __future__ import annotations
 

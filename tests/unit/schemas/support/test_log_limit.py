@@ -1,4 +1,4 @@
-"""Repeated events in the log: first line, rare repetitions, end."""
+"""Repeated events in the log: a line at once, a few lines later, and a line at the end."""
 
 from __future__ import annotations
 

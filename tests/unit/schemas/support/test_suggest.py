@@ -1,4 +1,4 @@
-"""The closest name is suggested, and none without a similar name."""
+"""The closest name is suggested; nothing is suggested if no name is similar."""
 
 from __future__ import annotations
 

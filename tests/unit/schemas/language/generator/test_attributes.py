@@ -1,4 +1,4 @@
-"""Materials, states, counts, and objects that may be taken for others, in a room whose truth is known."""
+"""Materials, states, counts, and objects that can be mistaken for other objects, in a room with known contents."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def _above(x: float, y: float, z: float, size: float, category: str | None = Non
 
 _BOXES = (
     *(_on_floor(x, y, 1.4, 0.8, 0.75, "table") for x, y in _TABLES.values()),
-    *(_chair(-6.0, y) for y in (-0.8, 0.8)),  # two beside the island
-    *(_chair(x, -3.8) for x in (-0.4, 0.1, 0.6)),  # three beside the long table
-    _chair(0.0, 4.4),  # 0.8 m from the desk: a borderline case
-    *(_above(x, 3.0, 0.75, 0.4, "monitor") for x in (-0.3, 0.3)),  # two on the desk
-    _above(0.0, -3.0, 0.75, 0.2),  # a thing without a name on the long table
-    _above(-6.0, 0.0, 0.75, 0.3),  # another one on the island
-    _above(7.0, -4.0, 1.0, 0.2),  # another one on the counter
+    *(_chair(-6.0, y) for y in (-0.8, 0.8)),  # two chairs beside the island
+    *(_chair(x, -3.8) for x in (-0.4, 0.1, 0.6)),  # three chairs beside the long table
+    _chair(0.0, 4.4),  # a chair 0.8 m from the desk: a borderline case of "beside"
+    *(_above(x, 3.0, 0.75, 0.4, "monitor") for x in (-0.3, 0.3)),  # two monitors on the desk
+    _above(0.0, -3.0, 0.75, 0.2),  # an object without a category on the long table
+    _above(-6.0, 0.0, 0.75, 0.3),  # another such object on the island
+    _above(7.0, -4.0, 1.0, 0.2),  # another such object on the counter
     _on_floor(7.0, -4.0, 0.8, 0.6, 1.0, "counter"),
     _on_floor(7.0, 0.0, 0.6, 0.6, 0.6, None),
 )
@@ -87,7 +87,7 @@ VIEW = look(canteen().graph, (0.0, 0.0, 0.0), CAMERA)
 @pytest.mark.parametrize(
     ("phrase", "sure", "possible"),
     [
-        # a part of the bare table is of an unknown material
+        # one part of the bare table has an unknown material
         ("wooden table", {ISLAND}, {ISLAND, DESK, BARE}),
         ("metal table", {DESK}, {DESK, BARE}),
         ("glass table", {BARE}, {BARE}),
@@ -105,7 +105,7 @@ def test_a_phrase_fits_the_expected_tables_and_borderline_tables(phrase, sure, p
     (expression,) = reader("en").read_phrase(f"the {phrase}")
     found = canteen().verifier.evaluate(expression, VIEW)
     names = {table(name): name for name in _TABLES}
-    # a counter looks like a table
+    # the counter, which can be mistaken for a table, is not compared
     assert {names[number] for number in found.sure if number in names} == sure
     assert {names[number] for number in found.possible if number in names} == possible
 

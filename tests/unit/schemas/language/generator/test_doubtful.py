@@ -31,7 +31,7 @@ _SIZES |= {
 
 
 def hall(*things: tuple[str, float, float], walls: tuple[Box, ...] = ()) -> SceneLanguage:
-    """Returns a hall of 18 x 10 m with things, and perhaps walls that do not divide it into rooms."""
+    """Returns a hall of 18 x 10 m with things and optional walls, which do not divide it into rooms."""
     boxes = []
     for kind, x, y in things:
         width, depth, height = _SIZES[kind]

@@ -16,7 +16,7 @@ VIEWS = views(6)
 
 
 def expressions_of(count: int) -> list[tuple[int, int, Expression]]:
-    """Returns view, target and expression, evenly from all views and targets."""
+    """Returns up to `count` generated expressions for each view and target, with the numbers of both."""
     rng, found = np.random.default_rng(1), []
     for place, view in enumerate(VIEWS):
         for number in TARGETS:
@@ -26,7 +26,7 @@ def expressions_of(count: int) -> list[tuple[int, int, Expression]]:
 
 
 def shorter(expression: Expression) -> list[Expression]:
-    """Returns the expression without each of its parts in turn."""
+    """Returns the expressions that result from removing one part of an expression."""
     found = [
         expression.model_copy(update={name: None})
         for name in ("colour", "material", "size", "ordinal")
@@ -48,9 +48,9 @@ def test_the_verifier_accepts_generated_expressions_and_no_part_can_be_dropped()
         if any(verifier.evaluate(one, VIEWS[place]).fits_only(number) for one in shorter(expression)):
             longer.append(expression)
     assert len(drawn) > 300
-    # footprints are rectangles along the axes here, so that both measure the same
+    # footprints are axis-aligned rectangles here, so generator and verifier measure the same
     assert not wrong
-    assert len(longer) <= 0.01 * len(drawn)  # bounding rectangles exclude a little less than footprints do
+    assert len(longer) <= 0.01 * len(drawn)  # bounding rectangles exclude slightly less than footprints
 
 
 def test_one_changed_word_that_makes_a_sentence_false_or_ambiguous_is_rejected():

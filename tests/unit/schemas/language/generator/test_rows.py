@@ -1,4 +1,4 @@
-"""Objects that are counted along one side of the way ahead, such as racks of an aisle, and what is seen from where."""
+"""Counting objects along one side of the way ahead, such as racks of an aisle; visibility and rooms of the start."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def rack_at(x: float, y: float) -> int:
 
 
 def fitting(phrase: str, start: tuple[float, float, float] = HEAD) -> set[int]:
-    """Returns the racks that a phrase surely fits, if no other is a borderline case."""
+    """Returns the racks that a phrase certainly fits; empty if another rack is a borderline case."""
     (expression,) = reader("en").read_phrase(phrase)
     found = aisle().verifier.evaluate(expression, look(aisle().graph, start, CAMERA))
     return set(found.sure) if found.sure == found.possible else set()
@@ -62,7 +62,7 @@ def fitting(phrase: str, start: tuple[float, float, float] = HEAD) -> set[int]:
         ("the third rack ahead on your left", (1.0, SIDE)),
         ("the first rack ahead on your right", (-4.0, -SIDE)),
         ("the second rack ahead on your right", (0.0, -SIDE)),
-        ("the third rack ahead on your right", None),  # hidden behind the second
+        ("the third rack ahead on your right", None),  # the third rack is hidden behind the second one
         ("the fourth rack ahead on your left", None),
     ],
 )
@@ -78,7 +78,7 @@ def test_a_rack_beside_the_robot_is_neither_ahead_nor_behind():
 
 @functools.cache
 def _barrels() -> SceneLanguage:
-    """Returns a hall with two barrels side by side, a third one behind them, and one behind a wall on the right."""
+    """Returns a hall with two barrels side by side, a third behind them, and a fourth behind a wall on the right."""
     spots = ((-4.0, 1.0), (-4.0, 2.2), (-2.5, 1.0), (-4.0, -1.5))
     barrels = [Box((x - 0.3, y - 0.3, 0.0), (x + 0.3, y + 0.3, 0.9), category="barrel") for x, y in spots]
     wall = Box((-6.0, -4.0, 0.0), (-5.9, -0.3, 2.5))
@@ -169,7 +169,7 @@ def test_a_start_close_to_a_doorway_is_in_no_part_of_a_room():
 
 def test_same_room_is_borderline_across_a_wide_opening():
     walls = room_walls((-6.0, -4.0), (6.0, 4.0))
-    stubs = (Box((-0.1, -4.0, 0.0), (0.1, -2.0, 2.5)), Box((-0.1, 2.0, 0.0), (0.1, 4.0, 2.5)))  # 4 m apart
+    stubs = (Box((-0.1, -4.0, 0.0), (0.1, -2.0, 2.5)), Box((-0.1, 2.0, 0.0), (0.1, 4.0, 2.5)))  # an opening of 4 m
     things = (
         Box((-3.2, -0.2, 0.0), (-2.8, 0.2, 0.8), category="chair"),
         Box((2.8, -0.2, 0.0), (3.2, 0.2, 0.8), category="chair"),

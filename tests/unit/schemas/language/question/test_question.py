@@ -36,7 +36,7 @@ def verifier() -> QuestionVerifier:
 
 @functools.cache
 def asked(count: int = 40) -> tuple[Question, ...]:
-    """Returns questions in four languages, also with held-out patterns."""
+    """Returns questions in four languages, some of them with held-out patterns."""
     spec = LanguageSpec(languages=dict.fromkeys(LANGUAGES, 1.0), questions=True)
     writer, composer, found = QuestionComposer(Composer(spec)), Composer(spec), []
     for seed in range(count):
@@ -52,7 +52,7 @@ def fault(question: Question) -> str:
 
 
 def reworded(question: Question, **changes: object) -> Question:
-    """Returns the question with another meaning as text."""
+    """Returns the question with a changed meaning and the text for that meaning."""
     meaning = question.meaning.model_copy(update=changes)
     span, rng = (question.start, question.end), np.random.default_rng(0)
     found = question_words(question.language).write(meaning, span, False, grammar(question.language), rng)
@@ -120,12 +120,12 @@ def test_a_wrong_answer_or_reason_is_rejected():
 def test_other_frames_and_foreign_words_are_rejected():
     one = next(each for each in asked() if each.meaning.kind is QuestionKind.WHERE)
     assert fault(one.model_copy(update={"start": 0, "end": len(POSES) + 1})) == "the frames do not exist"
-    assert fault(one.model_copy(update={"end": one.end + 1})) == "a view consists of one frame"
-    assert fault(one.model_copy(update={"answer": "Perhaps."})) == "the texts are not those of the language"
+    assert fault(one.model_copy(update={"end": one.end + 1})) == "the question is about more than one frame"
+    assert fault(one.model_copy(update={"answer": "Perhaps."})) == "the texts do not match the patterns of the language"
 
 
 class _Images:
-    """Images of one object in the middle of the view, as arrays."""
+    """Arrays of ids and depth with one object in the middle of the view."""
 
     def __init__(self, number: int | None, metres: float) -> None:
         self._ids = np.zeros((640, 640), np.uint16)

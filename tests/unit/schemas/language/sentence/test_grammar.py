@@ -95,7 +95,7 @@ def test_every_sentence_is_read_with_the_meaning_that_it_was_written_for(code):
     for number, pattern in enumerate(source.sentences):
         expression = EXPRESSIONS[number % len(EXPRESSIONS)]
         if pattern.case == "bare" and not expression.definite:
-            continue  # an expression without article is read as a definite one
+            continue  # an expression without an article is read as definite
         choice = dict.fromkeys(
             ("kind", "landmark", "relation", "size", "side", "colour", "article", "material"), number
         )

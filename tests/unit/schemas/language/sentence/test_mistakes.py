@@ -1,4 +1,4 @@
-"""Tests typing and speech errors: they keep the meaning, and a text with another difference is refused."""
+"""Tests typing and speech errors: they keep the meaning, and a text with any other difference is refused."""
 
 import numpy as np
 import pytest

@@ -53,7 +53,7 @@ def test_a_sentence_fits_the_object_that_a_person_would_choose(text, place):
         ("Go to the chair next to the trash can.", GREEN_BEHIND, "the landmark trash_can is not unique"),
         ("Go to the lowest sofa.", (3.5, 2.5), "the target is a borderline case"),
         ("Go to the chair in the kitchen.", RED_NORTH, "it does not fit the target"),
-        ("Go to the chairs.", RED_NORTH, "the sentence is not one of the grammar"),
+        ("Go to the chairs.", RED_NORTH, "the sentence does not match the grammar"),
         ("Go to a green chair.", RED_NORTH, "it does not fit the target"),
     ],
 )
@@ -93,7 +93,7 @@ def test_a_false_premise_names_an_object_that_does_not_exist():
         "Go to.",
     )
     found = [scene.verifier.is_false_premise(text, reader("en"), view) for text in texts]
-    # the monitor has no known colour, and a stool may be taken for a chair
+    # the monitor has no known colour, and a stool can be mistaken for a chair
     assert found == [True, True, False, False, False, False]
 
 
