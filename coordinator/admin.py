@@ -54,10 +54,10 @@ def administer(
     answer = _ask_coordinator(root, request, name, tls)
     if answer is not None:
         return answer
-    with contextlib.closing(Staging(root, str(root))):  # the lock that a coordinator holds
+    with contextlib.closing(Staging(root, str(root))):  # takes the lock of a coordinator
         reply = _administer_offline(url, request, now)
         if request.action is AdminAction.RETRY:
-            remove_address(root)  # it may state that the run is finished
+            remove_address(root)  # the address file may state that the run is finished
         return reply
 
 

@@ -193,7 +193,7 @@ class Housekeeping:
     def _limit_leases(self) -> None:
         self._check_clock()
         if not self._room.has_room:
-            self._limit.restart()  # workers did not cause the delay of their bundles
+            self._limit.restart()  # their bundles wait for space; this is not the fault of the workers
         self._run.meters.add(Meter.EXPIRED, self._limit.enforce())
 
     def _check_clock(self) -> None:

@@ -78,7 +78,7 @@ def _state_in_card(archive: Archive) -> None:
     try:
         card = (archive.root / CARD_FILE).read_text(encoding="utf-8")
     except FileNotFoundError:
-        return  # the writer of the card states the number of shards
+        return  # when the card is written, it will state the number of shards
     stated = with_shards(card, len(archive.shards()))
     if stated != card:
         with archive.replacing(CARD_FILE) as part:

@@ -199,7 +199,7 @@ class Coordinator(Closing):
         scenes: MutableMapping[str, SceneEntry],
     ) -> Pullers:
         layouts = None
-        if isinstance(run.checker, Validator):  # an evaluation, whose results another validator checks, builds nothing
+        if isinstance(run.checker, Validator):  # evaluations use another validator and build no layouts
             check = run.checker.check_package
             layouts = LayoutStore(
                 run.archive, state_dir, run.ledger.writer, run.terms, scenes, run.packages, check, run.clock

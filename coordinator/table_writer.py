@@ -51,7 +51,7 @@ class TableWriter:
         self._is_first_due = not self._are_readable
 
     def write_first(self) -> None:
-        """Writes the tables of a new run once it has an episode, so that it can be read and viewed from then on."""
+        """Writes the tables of a new run once it has an episode, so that the dataset can be read during the run."""
         if self._is_first_due:
             self.write()
 
@@ -74,13 +74,13 @@ class TableWriter:
             raise
 
     def _are_outdated(self) -> bool:
-        """Returns whether the tables lack a change; a failed attempt is not noted, only recorded in the ledger."""
+        """Returns whether the tables are outdated; the ledger shows failed attempts, which `note_change` does not."""
         if self._changed.is_set():
             return True
         try:
             with self._run.ledger.reading() as connection:
                 return has_changes(connection, self._up_to)
-        except WorldError:  # a lost ledger stops the run, which reports it
+        except WorldError:  # the ledger is lost; the run stops and reports this
             return False
 
     def write_splits(self) -> None:
@@ -89,7 +89,7 @@ class TableWriter:
         The time is limited if the run is not finished.
         """
         if self._checkpoints is None or self._changed.is_set():
-            return  # the tables that they are made from are not up to date
+            return  # `metadata.parquet`, from which they are made, is outdated
         try:
             limit_s = None if self._run.ledger.is_finished() else _THUMBNAILS_S
         except WorldError as error:

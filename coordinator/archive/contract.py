@@ -92,7 +92,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """
 
     def unpublish(self, index: int) -> None:
-        """Deletes an episode that the ledger does not own. Does nothing if the episode does not exist."""
+        """Deletes an episode that the ledger does not record. Does nothing if the episode does not exist."""
 
     def quarantine(self, path: FilePlace, reason: str) -> Place:
         """Moves a file to the quarantine folder, writes the reason to a file beside it, and returns the new path.

@@ -14,9 +14,9 @@ class ListedFile(NamedTuple):
     """One episode file as found."""
 
     size: int
-    """Bytes."""
+    """Size of the file, bytes."""
     sha256: str | None = None
-    """Digest; `None` when it was not computed, and is then not compared."""
+    """Digest of the file; `None` if it was not computed. The digest is then not compared."""
     fault: str = ""
     """Reason why the file cannot be read; empty if it can be read."""
 
@@ -25,7 +25,7 @@ class RecordedFile(NamedTuple):
     """One episode file as the ledger records it."""
 
     size: int
-    """Bytes."""
+    """Size of the file, bytes."""
     sha256: str | None = None
     """Digest."""
     gateway: str | None = None
@@ -49,7 +49,7 @@ class ArchiveDifference:
 
     @property
     def strays(self) -> tuple[int, ...]:
-        """Unknown and changed episodes: files that differ from the ledger's records, or have none."""
+        """Numbers of the unknown and the changed episodes, ascending."""
         return tuple(sorted((*self.unknown, *self.changed)))
 
 

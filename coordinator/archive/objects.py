@@ -44,11 +44,12 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
 
     Args:
         root: root of the dataset.
-        state_dir: local directory for part files; created if it does not exist. A dataset always needs the same one.
+        state_dir: local directory for part files; created if it does not exist. Always open a dataset with
+            the same state directory.
         take_over: whether to delete the lock object of another state directory, whose coordinator must have ended.
 
     Raises:
-        WorldError: the state directory or the store cannot be written, another coordinator holds one of them, or the
+        WorldError: the state directory or the store cannot be written, another coordinator holds either of them, or the
             store ignores conditional writes.
     """
 
@@ -118,7 +119,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return self.root / file_name_of(episode_id(index))
 
     def _listing(self) -> Iterator[tuple[int | None, ObjectPath]]:
-        # the listing includes the sizes, so that the size of a path needs no further request
+        # the listing includes the sizes, so that no request is needed for the size of a path
         for path in (self.root / EPISODES).walk():
             index = index_of_file(path.name)
             yield index if index is not None and path == self._file_of(index) else None, path
@@ -127,7 +128,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         final = self.root / EPISODES / name
         try:
             self._put_new(final.key, part)
-        except FileExistsError:  # a lost response, or an object that was damaged in the store
+        except FileExistsError:  # a retried put after a lost response, or a damaged object
             if digest_of(final) != digest_of(part):
                 self._objects.put(final.key, part.read_bytes())
 
@@ -135,7 +136,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         self._objects.delete(*(f"{EPISODES}/{place.name}" for place in places))
 
     def _set_aside(self, path: Place, reason: str) -> Place:
-        """Moves an object; a local file is moved to the quarantine folder of the state directory."""
+        """Moves an object to the quarantine folder of the dataset, or a local file to that of the state directory."""
         if isinstance(path, Path):
             folder = self._state_dir / QUARANTINE
             with translated("open", folder):
@@ -152,7 +153,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return place
 
     def _explained(self, path: ObjectPath | PackedPath, reason: str) -> ObjectPath:
-        """Returns a new path in the quarantine folder for an object, after writing the reason beside it."""
+        """Writes the reason to the quarantine folder, and returns a new path there for the object."""
         place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
         self._objects.put(f"{place.key}.reason.txt", f"{path}\n{reason}\n".encode())
         log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
@@ -174,7 +175,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
 
     def _keep(self, source: Path, place: Place) -> None:
         assert isinstance(place, ObjectPath), place
-        with contextlib.suppress(FileExistsError):  # a lost response
+        with contextlib.suppress(FileExistsError):  # a retried put after a lost response
             self._put_new(place.key, source)
 
     def _drop(self, place: Place) -> None:
@@ -200,7 +201,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             if os.fstat(opened.fileno()).st_size == 0:
                 self._objects.put_new(key, b"")
                 return
-            # mapped, not read into memory; the mapping ends when the last upload releases it
+            # maps the file instead of reading it; the mapping ends when the last upload releases it
             self._objects.put_new(key, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ))
 
     def _lock(self) -> None:
@@ -209,7 +210,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             self._objects.put_new(_LOCK, mine)
         except FileExistsError as error:
             holder = _holder(self.root)
-            if holder.get("home") != self._id:  # else left by a killed process with this state directory
+            if holder.get("home") != self._id:  # else an earlier process with this state directory left it
                 raise WorldError(
                     f"{self.root} is in use by another coordinator, that of {holder.get('directory')} on host "
                     f"{holder.get('host')}; stop it first, or choose another --out. If it will not run again: "

@@ -67,7 +67,10 @@ class PackingArchive(ABC):
 
     @abstractmethod
     def _store_shard(self, part: Path, name: str) -> None:
-        """Publishes a synced part file durably as a shard. A file of that name, if any, is equal or damaged."""
+        """Publishes a synced part file durably as a shard.
+
+        An existing file of that name has the same bytes or is damaged.
+        """
 
     @abstractmethod
     def _delete(self, places: Collection[Place]) -> None:
@@ -184,7 +187,7 @@ class PackingArchive(ABC):
             return f"cannot be read: {error.strerror}"
 
     def _write_shard(self, episodes: Iterable[tuple[int, bytes]], first: int, last: int) -> ShardDirectory:
-        """Publishes a shard of a range and returns its directory; does nothing without episodes."""
+        """Publishes a shard of a range and returns its ZIP directory; publishes nothing if there are no episodes."""
         part = self._staging.part(f"shard_{first:06d}")
         try:
             with translated("write", part.parent), part.open("x+b") as file:
@@ -202,7 +205,7 @@ class PackingArchive(ABC):
         return shard
 
     def _remove(self, name: str, indices: Collection[int]) -> None:
-        """Replaces a shard with a new shard that lacks some of its episodes."""
+        """Removes episodes from a shard by replacing it with a new shard."""
         one = ShardIndex.of(self.root / EPISODES, [self._directories[name]])
         rest = ((index, path.read_bytes(checked=False)) for index, path in one if index not in indices)
         self._write_shard(rest, *range_of_shard(name))
@@ -212,7 +215,7 @@ class PackingArchive(ABC):
         self.write_shard_index()
 
     def _open_shards(self) -> None:
-        """Reads the directories of the shards, and completes what an interrupted process began.
+        """Reads the ZIP directories of the shards, and completes packing that an interrupted process began.
 
         Raises:
             WorldError: a shard cannot be read, or a file cannot be written.
@@ -238,12 +241,13 @@ class PackingArchive(ABC):
         intact = ShardIndex.of(self.root / EPISODES, [found])
         shard = self._write_shard(((index, path.read_bytes()) for index, path in intact), *range_of_shard(place.name))
         reason = f"{damage}; {len(intact)} intact episodes are kept in {shard.name}" if len(intact) else damage
-        if shard.name != place.name:  # equal names: only the directory was damaged, and the new shard has replaced it
+        # with equal names, only the ZIP directory was damaged, and the new shard has replaced the file
+        if shard.name != place.name:
             self._set_aside(place, reason)
         log.warning("shard_damaged", shard=str(place), why=reason, remedy="missing episodes are generated again")
 
     def _settle_files(self, files: Mapping[int, Place]) -> None:
-        """Deletes the files whose episodes are packed with the same bytes, and quarantines those that differ."""
+        """Deletes the files of packed episodes that equal the packed bytes, and quarantines the files that differ."""
         twice = [(path, packed) for index, path in files.items() if (packed := self._shards.find(index)) is not None]
         equal = list(in_threads(lambda pair: pair[0].read_bytes() == pair[1].read_bytes(checked=False), twice))
         self._delete([path for (path, _), same in zip(twice, equal, strict=True) if same])
@@ -268,7 +272,7 @@ def _is_regular_shard(path: Place) -> bool:
 
 
 def in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Yields the results in the order of the items; keeps a few of them in memory."""
+    """Yields the results in the order of the items; at most a few results are in memory."""
     rest = iter(items)
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(islice(rest, _AHEAD)):

@@ -224,6 +224,6 @@ def _lock(path: Path, dataset: str) -> int:
 def _clear(directory: Path) -> None:
     for path in directory.iterdir():
         if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)  # an unpacked layout
+            shutil.rmtree(path)  # folder into which a layout was unpacked
         else:
             path.unlink()

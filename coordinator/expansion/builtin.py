@@ -43,7 +43,7 @@ _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf
 
 
 def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
-    """Returns a scene with 9 x `seen` episodes of seen categories and `held_out` episodes of held-out ones."""
+    """Returns a scene with 9 x `seen` episodes of seen categories and `held_out` episodes of held-out categories."""
     numbers = dict.fromkeys((Split.VAL_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD), seen)
     numbers |= {Split.TRAIN_ID: 6 * seen, Split.TEST_OOD_OBJ: held_out}
     episodes = sum(numbers.values())

@@ -82,7 +82,7 @@ def read_entry(path: Path) -> SceneEntry:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         size = file.tell()
         info = decode_geometry(file).info
-    # layouts share most textures, so that equal digests share one string
+    # layouts share most textures; interning stores equal digests once
     textures = tuple(sys.intern(texture.sha256) for texture in info.textures)
     return SceneEntry(info if layout_number(info.name) is None else None, sha256, size, path, textures)
 

@@ -64,7 +64,8 @@ def expand_each(plan: Plan, catalog: Catalog) -> Iterator[PlannedJob]:
     Cells of scene x tier x split have their exact Webster quota. Within a scene, targets and templates are sampled
     evenly. With `plan.balance == "categories"` the category is sampled first; with `categories_overall`, each cell has
     an exact quota of each category, which makes the categories of the whole plan as even as its scenes permit.
-    The draws of a layout depend on the plan and on its own package only, so that memory holds one layout at a time.
+    The draws of a layout depend on the plan and on the package of the layout only, so that memory holds one layout at a
+    time.
     The layouts that the catalog lacks are omitted.
 
     Raises:
@@ -111,7 +112,10 @@ def _expand_scene(
     templates: Counter[str],
     quotas: Mapping[Cell, Counter[str]],
 ) -> Iterator[PlannedJob]:
-    """Yields draw 0 of a scene's episodes, the cells in random order; `templates` counts over all scenes."""
+    """Yields draw 0 of a scene's episodes, with the cells in random order.
+
+    Counts the episodes of each template in `templates`, which all scenes of the plan share.
+    """
     plan, wording = cells.plan, cells.wording
     decks = {cell: [str(name) for name in rng.permutation(list(quota.elements()))] for cell, quota in quotas.items()}
     slots = [cell for cell, count in cells.quota.items() for _ in range(count)]
@@ -249,8 +253,11 @@ def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned:
 
 
 def _rank_rng(plan: Plan, planned: PlannedJob) -> np.random.Generator:
-    """Returns a random generator with the same numbers in all draws of an episode: with new numbers, redraws would
-    replace ranks and targets that few starts permit by more frequent ones."""
+    """Returns a random generator that yields the same numbers for all draws of an episode.
+
+    Ranks and targets that few starts permit fail more often. If redraws used new random numbers, such ranks and targets
+    would be too rare in the dataset.
+    """
     return np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))
 
 

@@ -48,10 +48,10 @@ def _target(
 ) -> Target:
     straight, connected = (getattr(target, field) for field in _FIELDS[task.success])
     if not connected:
-        return target  # not reachable, or without the footprint that the success measure needs
+        return target  # it is not reachable, or has no footprint, which the success measure needs
     # the path along the floor is at least as long as the planar distance
     is_far = Goal.of(target, task).distances(spawns) >= least_m
-    was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight  # as recorded for the success measure
+    was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight  # as the package records for the success measure
     changes = {"straight": bool((is_far & sees).any()) or was_far, "connected": bool(is_far.any())}
     tiers = [
         tuple(tier for tier in Tier if (holds if tier is Tier.FAR else tier in old))

@@ -98,7 +98,7 @@ def _subsets(keys: list[Share]) -> list[tuple[Share, ...]]:
 
 
 def _with_categories(plan: Plan, scene: ScenePlan, present: Set[str]) -> ScenePlan | None:
-    """Returns the scene with its present categories only and without the splits that have no category left."""
+    """Returns the scene without absent categories, and without the splits of which all categories are absent."""
     seen, held_out = (tuple(name for name in names if name in present) for names in scene.categories)
     part: ScenePlan | None = scene
     if (seen, held_out) != tuple(scene.categories):

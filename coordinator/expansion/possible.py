@@ -100,20 +100,20 @@ def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> s
         remedy = f'set task.success = "surface" to reach {", ".join(sorted(by_surface))}, or {remedy}'
     if scene.file is not None:
         remedy += ", its rules or its list of targets"
-    return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"
+    return f"{', '.join(missing)}; reachable in the scene: {', '.join(sorted(present)) or 'none'}{blocked}; {remedy}"
 
 
 def _ambiguous_message(cells: SceneCells, ambiguous: Set[str]) -> str:
     if cells.plan.language is not None:
         return (
             f"language needs {cells.plan.language.least_others} other objects of the target's category, and "
-            f"{', '.join(sorted(ambiguous))} has fewer; categories with enough there: "
+            f"{', '.join(sorted(ambiguous))} has fewer; categories with enough objects: "
             f"{', '.join(sorted(cells.present)) or 'none'}; remove the others from seen and held_out, or reduce "
             "language.same_category and language.in_view"
         )
     unique = ", ".join(cells.wording.unique)
     return (
         f'instructions.unique is "scene", but no instruction fits only one {" or ".join(sorted(ambiguous))}; '
-        f"unique there: {unique or 'nothing'}; remove the other categories from seen and held_out, or set "
+        f"unique in the scene: {unique or 'nothing'}; remove the other categories from seen and held_out, or set "
         'instructions.unique to "view", or list them in `ambiguous` of the scene'
     )

@@ -45,8 +45,10 @@ class SceneCells:
         return frozenset(target.category for target in self.wording.targets if target.is_reachable(success))
 
     def pool(self, split: Split, tier: Tier) -> tuple[Target, ...]:
-        """Returns the permitted targets of a cell: of the split's categories and side, startable by the expert,
-        and permitted to be named."""
+        """Returns the permitted targets of a cell.
+
+        The split permits their category and side, the expert can start for them, and an instruction may name them.
+        """
         categories = categories_of(self.scene, split)
         sides = {} if split.is_held_out else self.sides
         return tuple(

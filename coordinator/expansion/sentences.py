@@ -60,7 +60,7 @@ def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
 
 
 def _probes(plan: Plan, cells: SceneCells, scene: CompiledScene, prepared: SceneLanguage) -> Iterator[Probe]:
-    """Yields targets with starts that face them."""
+    """Yields targets, each with the view from a start that faces it."""
     targets = {target.target_id: target for cell in cells.quota for target in cells.pool(*cell)}
     chosen = list(targets.values())[:: max(1, math.ceil(len(targets) / _TARGETS))]
     for target in chosen:

@@ -1,6 +1,6 @@
 """Summarises the planned episodes: shares of categories and templates, and expected ambiguity of the instructions.
 
-Expands the plan. Does not simulate, so that draws that replace failed ones are not in the summary.
+Expands the plan. Does not simulate, so the draws that replace failed draws are not in the summary.
 """
 
 from __future__ import annotations

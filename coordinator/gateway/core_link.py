@@ -85,7 +85,7 @@ class CoreLink:
                     raise
 
     def _reconnect(self) -> None:
-        """Reopens the router after a long time without replies, to restore half-open links and abandoned retries."""
+        """Reopens the router after a long time without replies: a link may be half-open, or zenoh may not retry."""
         with self._reconnecting:
             if time.monotonic() - max(self._heard, self._opened) < _REOPEN_S:
                 return

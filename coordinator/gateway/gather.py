@@ -91,7 +91,7 @@ def gather(
     on_progress: ProgressCallback = lambda _done, _all: None,
     shard_episodes: int = MAX_SHARD_EPISODES,
 ) -> GatherReport:
-    """Copies episodes from gateways into the dataset, as far as their files are found.
+    """Copies the episodes that are found in directories of gateways into the dataset.
 
     Args:
         dataset: dataset of the core.
@@ -172,7 +172,7 @@ def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
     place = archive.path_of(one.index)
     if place.exists():
         if digest_of(place) == one.sha256:
-            return ""  # a previous call ended between file and ledger
+            return ""  # a previous call was interrupted before it updated the ledger
         archive.quarantine(place, f"its SHA-256 is not {one.sha256}, which the ledger has")
     found = []
     for source in sources:
@@ -191,7 +191,7 @@ def _copy(archive: Archive, one: _Wanted, path: FilePlace) -> str:
             with path.open("rb") as file:
                 while staged.size <= one.size and (block := file.read(_COPY_BYTES)):
                     staged.write(block)
-        except OSError as error:  # an error of the source: an error of the archive is a WorldError
+        except OSError as error:  # an error of the source; the archive raises WorldError
             return f"{path} cannot be read: {error.strerror}"
         if staged.sha256 != one.sha256:
             return f"{path} has SHA-256 {staged.sha256}, but {one.sha256} in the ledger"

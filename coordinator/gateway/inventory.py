@@ -124,7 +124,7 @@ def _offer(
 
 
 def _job_of(path: Path, job: Job) -> Job:
-    """Returns the job at the attempt recorded in the file, if that is a later attempt of the same draw."""
+    """Returns the job, with the attempt recorded in the file if that is a later attempt of the same draw."""
     with path.open("rb") as file, BundleReader(file) as bundle:
         said = bundle.meta.job
     is_later = said.draw == job.draw and said.attempt > job.attempt

@@ -1,4 +1,4 @@
-"""Jobs that build the packages of layouts: a row of `jobs` for each tried seed, whose draw is the number of the seed.
+"""Jobs that build the packages of layouts. Each seed that is tried has a row in `jobs`; the seed's number is its draw.
 
 The module records no outcome; `outcomes` inserts the episodes of a layout when its package is recorded.
 """

@@ -37,7 +37,7 @@ def is_recorded_at_gateway(connection: Connection, index: int, gateway: str, sha
 def records_of_gateway(
     connection: Connection, gateway: str, first: int, last: int
 ) -> Iterator[tuple[int, RecordedFile]]:
-    """Yields the record of each episode that a gateway keeps, between two numbers, both included; ascending."""
+    """Yields the record of each episode of a gateway with a number from `first` to `last`, ascending."""
     query = _KEPT.where(gateway_episodes.c.gateway == gateway, gateway_episodes.c.idx.between(first, last)).order_by(
         gateway_episodes.c.idx
     )
@@ -51,7 +51,7 @@ def recorded_files(connection: Connection, *, digests: bool = True) -> Mapping[i
 
     Args:
         connection: connection for reading.
-        digests: whether the records have digests, which are half of the memory of a million records.
+        digests: whether the records have digests, which take half of the memory of the records.
     """
     away = gateways_by_episode(connection)
     columns = (episodes.c.idx, episodes.c.size, *((episodes.c.sha256,) if digests else ()))

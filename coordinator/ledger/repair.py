@@ -74,7 +74,7 @@ def obstacle_to(connection: Connection, index: int, draw: int, attempt: int, *, 
         index: number of the episode.
         draw: draw of the file.
         attempt: attempt of the file.
-        replaces: whether the file may replace the file that the ledger owns.
+        replaces: whether the file may replace the file that the ledger records.
     """
     row = current_job(connection, index)
     if row is None:
@@ -107,7 +107,7 @@ def record_whole(
         receipt: receipt of the validated file.
         now: time of the repair.
         at: draw and attempt of the file.
-        replaces: whether the file may replace the file that the ledger owns.
+        replaces: whether the file may replace the file that the ledger records.
 
     Returns:
         The reason if the file cannot be recorded, else an empty string.

@@ -29,7 +29,7 @@ class Event(StrEnum):
     CLAIMED = "claimed"  # a worker claimed it under a new fence
     ANNOUNCED = "announced"  # its worker announced that the bundle can be pulled
     ARCHIVED = "archived"  # the bundle was validated and published
-    ADOPTED = "adopted"  # found at the start: the bundle is published, but the ledger had no commit of it
+    ADOPTED = "adopted"  # found at the start: the bundle was published, but the ledger had not committed the episode
     TASK_FAILED = "task_failed"  # task failure; the next attempt follows
     EXHAUSTED = "exhausted"  # task failure that uses up the attempts of this draw, or a layout that is refused
     RELEASED = "released"  # its worker returned it without an outcome
@@ -85,7 +85,7 @@ TRANSITIONS = MappingProxyType(
 next state."""
 
 OPEN_STATES = (JobState.PENDING, JobState.LEASED, JobState.SUBMITTED)
-"""States that change without an admin request."""
+"""States that can change without an admin request."""
 
 
 def next_state(state: JobState, event: Event) -> JobState:

@@ -9,8 +9,8 @@ from sqlalchemy import BigInteger, Boolean, Column, Double, ForeignKey, Index, I
 from sqlalchemy import text as sql
 
 LEDGER_FORMAT = 4
-"""Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost; since 3
-jobs may build layouts; since 4 the events of task and worker failures have other names."""
+"""Format version. Since format 2, gateways may store episodes, which an older coordinator would regard as lost. Since
+format 3, jobs may build layouts. Since format 4, the events of task and worker failures have other names."""
 
 ADDED_LATER = frozenset({"hosts", "keepers", "unchecked_episodes", "job_tallies", "attempt_tallies"})
 """Tables that an intact ledger of an older format lacks; opening it for writing adds them."""
@@ -23,7 +23,7 @@ PLANNED_EPISODES = "episodes"
 that was created with all scenes."""
 
 BUILD = "build"
-"""Tier and split of a job that builds the package of a layout. Its number follows the episodes of the plan."""
+"""Tier and split of a job that builds the package of a layout. Such jobs have larger numbers than the episodes."""
 
 METADATA = MetaData()
 

@@ -88,7 +88,7 @@ def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
 
 
 def _watched(tally: Table) -> str:
-    """Returns the columns of the counted table that change the counts."""
+    """Returns the columns of the counted table by which its rows are counted."""
     return ", ".join(column.name for column in tally.primary_key)
 
 
@@ -109,7 +109,7 @@ def _subtract(tally: Table) -> str:
 
 
 def _amount(name: str, tally: Table, row: str = "NEW") -> str:
-    """Returns what a row adds to a column of the tally: 1 for the number of rows, otherwise its value."""
+    """Returns what a row adds to a column of the tally: 1 to the number of rows, otherwise the value of the row."""
     return "1" if name == tally.name.replace("_tallies", "s") else f"{row}.{name}"
 
 

@@ -1,4 +1,4 @@
-"""Records archived episodes whose frames only their worker has validated, and bars hosts that announced invalid ones.
+"""Records archived episodes whose frames only their worker has validated, and bars hosts of invalid bundles.
 
 Validates no episode; `coordinator.recheck` does.
 """

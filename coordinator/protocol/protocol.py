@@ -62,13 +62,14 @@ _MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
 )
 """Maximum message size by verb, bytes; `_SMALL_MESSAGE_BYTES` for other verbs."""
 _NAME_END, _BYTES_A_NAME = b'":', 24
-"""End of a JSON name, and least bytes per name. A full heartbeat has a name every 27 bytes. The limit prevents
-thousands of unknown names, each of which would cause a separate validation error."""
+"""Bytes after a name in JSON, and smallest permitted message size per name, bytes. A full heartbeat has 27 bytes per
+name. The limit prevents thousands of unknown names, each of which would cause a separate validation error."""
 _SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
 FindStates = Callable[[Job], str | None]
-"""Function that returns the states recording of a job, base64, whose frames the worker renders; `None`: simulate it."""
+"""Function that returns the states recording of a job as base64 text, from which the worker renders the frames. It
+returns `None` if the worker must simulate the job."""
 
 
 def simulate_all(_job: Job) -> None:
@@ -188,7 +189,7 @@ def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: dateti
         now,
         terms.plan.budget,
         lambda planned: redraw(terms.plan, terms.catalog, planned),
-        blames_hosts=terms.evaluation is None,  # an evaluation reports the failure immediately; it can be repeated
+        blames_hosts=terms.evaluation is None,  # an evaluation reports each failure at once; users can repeat it
     )
 
 
@@ -279,7 +280,7 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> Pull:
     if row.tier == BUILD:
         build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
-        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # by the coordinator, never by a gateway
+        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # never via a gateway
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     candidates = candidates_of(job, terms.catalog[job.scene].info)
     return Pull(lease_of(row), sid, row.sha256, row.size, job, candidates, via, is_validated)

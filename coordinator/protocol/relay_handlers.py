@@ -98,7 +98,7 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
     if wrong:
         return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
     if gateway_episodes.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
-        return Ack(accepted=True)  # a repeated request whose reply was lost
+        return Ack(accepted=True)  # the gateway repeats a request whose reply was lost
     if told.lease is not None:
         accepted = outcomes.archive(connection, told.lease, summary, now)
     else:
@@ -117,7 +117,7 @@ def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[
         "target_category": job.category,
         "spawn_tier": job.tier,
     } | {name: getattr(job, name) for name in _OF_THE_JOB}
-    if job.language is not None:  # the worker wrote the sentence
+    if job.language is not None:  # the worker wrote the instruction, so it is not in the job
         wanted = {name: value for name, value in wanted.items() if name not in ("instruction", "template_id")}
     wrong = [name for name, value in wanted.items() if getattr(summary, name) != value]
     return wrong if summary.attempt <= row.attempt + _MOST_AHEAD else [*wrong, "attempt"]

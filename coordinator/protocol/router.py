@@ -163,7 +163,7 @@ class Router(Closing):
         if length <= MAX_KEY_CHARS:
             return True
         with query:
-            query.reply_err(f"a key of {length} characters; at most {MAX_KEY_CHARS} are read")
+            query.reply_err(f"the key has {length} characters; at most {MAX_KEY_CHARS} are allowed")
         return False
 
     def _serve_scene(self, query: zenoh.Query) -> None:

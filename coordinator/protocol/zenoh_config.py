@@ -53,7 +53,7 @@ def router_config(
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
     if not connect:
-        values["scouting/delay"] = "0"  # zenoh waits that long for routers to connect to, by default 500 ms
+        values["scouting/delay"] = "0"  # with zenoh's default, such a session opens 0.5 s later
     if tls is not None and listen:
         values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
     if tls is not None and connect:
@@ -76,7 +76,7 @@ def client_config(connect: Sequence[str], lease_s: float, tls: TlsFiles | None =
 
 
 def _with_deadline(endpoint: str) -> str:
-    """Adds the TLS handshake timeout to an endpoint; zenoh accepts it as a part of the endpoint only."""
+    """Adds the timeout of the TLS handshake to an endpoint; zenoh has no separate setting for it."""
     if not endpoint.startswith("tls/"):
         return endpoint
     return f"{endpoint}{';' if '#' in endpoint else '#'}tls_handshake_timeout_ms={_HANDSHAKE_TIMEOUT_MS}"

@@ -167,7 +167,7 @@ def join_shards(
     now: datetime,
     on_progress: ProgressCallback = lambda _done, _all: None,
 ) -> JoinReport:
-    """Joins shards into one dataset, in a new directory or one of an interrupted call.
+    """Joins shards into one dataset, in a new directory or in the directory of an interrupted call.
 
     Args:
         target: the dataset.
@@ -251,7 +251,7 @@ def _copy(archive: Archive, index: int, path: FilePlace, classifier: StrayClassi
         try:
             for block in _blocks(path):
                 staged.write(block)
-        except OSError as error:  # an error of the source: an error of the archive is a WorldError
+        except OSError as error:  # an error of the source; the archive raises WorldError
             return f"{path} cannot be read: {error.strerror}"
         verdict = classifier.classify(staged.path, index)
         if not isinstance(verdict, str):

@@ -85,7 +85,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
         for index in difference.missing:
             _requeue(connection, index, now, GONE, result)
         for index in difference.elsewhere:
-            record_at_core(connection, index)  # `factory gather` was interrupted between file and ledger
+            record_at_core(connection, index)  # `factory gather` was interrupted before it did this
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     changed = {index: words for index, words in difference.changed.items() if recorded[index].gateway is None}
     _settle(archive, engine, terms, now, unsure, verdicts, changed, result)
@@ -133,7 +133,7 @@ def _validate_all(
 def _validate_result(
     ledger: Connection, index: int, path: FilePlace, terms: Terms, checker: BundleValidator
 ) -> _Verdict:
-    """Validates a result of an evaluation, which does not contain its attempt, against the current attempt."""
+    """Validates a result of an evaluation for the current attempt, because the file does not contain its attempt."""
     row = current_job(ledger, index)
     if row is None:
         return "the plan has no episode of this number"
@@ -147,7 +147,7 @@ def _validate_result(
 
 
 def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Verdict], owned: int) -> None:
-    """Raises before files are moved if all files belong to another run: the given plan is wrong, not the files.
+    """Raises an error if all files belong to another run: then the given plan is wrong, and no file may be moved.
 
     Raises:
         UsageError: all files belong to another run, which the message names.

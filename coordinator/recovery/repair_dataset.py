@@ -107,7 +107,7 @@ def repair(
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
-        actions = list(_of_shards(dataset.root))  # opening the archive repairs them
+        actions = list(_of_shards(dataset.root))  # before the archive is opened, which repairs the shards
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
         trouble = dataset.foreign_ledger or ledger_trouble(dataset.url, dataset.catalog)
         with _reading(dataset.url, trouble) as ledger:
@@ -218,7 +218,7 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
         found[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
         found[CARD_FILE] = "is missing"
-    with suppress(ArchiveCorrupt):  # reported above
+    with suppress(ArchiveCorrupt):  # the unreadable `metadata.parquet` is reported above
         found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
     return found
 

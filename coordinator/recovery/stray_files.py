@@ -1,4 +1,4 @@
-"""Classifies episode files that the ledger does not own: determines which attempt of the plan each file belongs to.
+"""Classifies episode files without a ledger record: determines to which attempt of the plan each file belongs.
 
 The module reads and validates files; it does not move or write files.
 """
@@ -97,7 +97,7 @@ class StrayClassifier:
         Args:
             path: path of the file.
             index: episode number in the file name.
-            replaces: whether the file may replace the file that the ledger owns.
+            replaces: whether the file may replace the file that the ledger records.
 
         Raises:
             TransientError: no bundle can be validated on this machine now.

@@ -25,7 +25,7 @@ _COUNTERS = (
     (Meter.PULLED_BYTES, "minivla_pull_bytes", "Bytes of bundles pulled by this process."),
     (Meter.PULLS_FAILED, "minivla_pulls_failed", "Failed transfers; they are repeated."),
     (Meter.REFUSED, "minivla_bundles_refused", "Bundles that failed validation."),
-    (Meter.EXPIRED, "minivla_lease_expiries", "Leases that expired during this process."),
+    (Meter.EXPIRED, "minivla_lease_expiries", "Leases that expired since this process started."),
 )
 _INDEX = "minivla-factory: /healthz /readyz /metrics\n"
 _PLAIN = "text/plain; charset=utf-8"

@@ -22,7 +22,7 @@ Configs = Mapping[str, Mapping[str, str]]
 
 
 def split_configs(splits: Collection[str], episodes: int, failed_attempts: int) -> Configs:
-    """Returns the configurations of a dataset, without those that have no rows, which `datasets` cannot load.
+    """Returns the configurations of a dataset that have rows; `datasets` cannot load a configuration without rows.
 
     Args:
         splits: splits with split tables; if empty, the default is `metadata.parquet` with all rows as `train`.

@@ -83,7 +83,7 @@ class Checkpoints:
         return meta
 
     def _present_scenes(self) -> dict[str, str]:
-        """Returns the digests of the packages in the order of the plan; assigns the instances of new packages."""
+        """Returns the digests of the packages in the order of the plan; computes the sides of new packages."""
         parts = [part for part in self._plan.parts if part.name in self._catalog]
         for part in parts:
             entry = self._catalog[part.name]
@@ -148,7 +148,7 @@ def is_checkpoint_due(archive: Archive, connection: Connection) -> bool:
 
 
 def count_failures(connection: Connection) -> int:
-    """Returns the number of attempts without an episode."""
+    """Returns the number of attempts that produced no episode."""
     of_jobs = attempts.join(jobs, jobs.c.id == attempts.c.job_id)
     failed = select(func.count()).select_from(of_jobs).where(attempts.c.outcome != SUCCESS, IS_EPISODE)
     return int(connection.execute(failed).scalar_one())
@@ -165,12 +165,12 @@ class LedgerFailures:
         self._connection = connection
 
     def rows(self, first: int, last: int) -> Iterator[FailedAttempt]:
-        """Yields the attempts without an episode between two episode numbers, ordered by episode, attempt and time."""
+        """Yields the attempts that produced no episode, for a range of episode numbers; order as in `read_failures`."""
         return map(_failure_of, self._connection.execute(_FAILURES.where(jobs.c.idx.between(first, last))))
 
 
 def read_failures(connection: Connection) -> Iterator[FailedAttempt]:
-    """Yields the attempts without an episode, ordered by episode, attempt and time."""
+    """Yields the attempts that produced no episode, ordered by episode, attempt and time."""
     return map(_failure_of, connection.execute(_FAILURES.execution_options(yield_per=_YIELD_ROWS)))
 
 

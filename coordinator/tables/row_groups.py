@@ -24,7 +24,7 @@ _ROWS, _GROUPS = 3, 4
 _COLUMNS, _GROUP_OFFSETS = 1, (5,)
 """Fields of `RowGroup`: column chunks, offset of the first page."""
 _COLUMN, _CHUNK_OFFSETS = 3, (2, 4, 6)
-"""Fields of `ColumnChunk`: description of the column; offsets of the chunk and of its indexes."""
+"""Fields of `ColumnChunk`: first the description of the column, then the offsets of the chunk and of its indexes."""
 _COLUMN_OFFSETS = (9, 10, 11, 14)
 """Fields of `ColumnMetaData`: offsets of the first data, index and dictionary page, and of the Bloom filter."""
 
@@ -105,7 +105,7 @@ class RowGroupWriter(Closing):
 
 
 def _encode_alone(table: pa.Table) -> tuple[bytes, list[Field]]:
-    """Returns the row group of a file with these rows, and the decoded footer of the file."""
+    """Encodes rows as a separate file; returns the bytes of its row group and its decoded footer."""
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     data = sink.getvalue().to_pybytes()
@@ -115,7 +115,7 @@ def _encode_alone(table: pa.Table) -> tuple[bytes, list[Field]]:
 
 
 def _moved(group: list[Field], by: int) -> list[Field]:
-    """Returns the description of a row group at another place in its file."""
+    """Returns the description of a row group that is moved by some bytes in its file."""
     chunks: Items = _value(group, _COLUMNS)
     moved = Items(chunks.kind, [_moved_chunk(chunk, by) for chunk in chunks.values])
     return [
@@ -131,7 +131,7 @@ def _moved_chunk(chunk: list[Field], by: int) -> list[Field]:
 
 
 def _shifted(fields: list[Field], numbers: Collection[int], by: int) -> list[Field]:
-    """Returns the fields with `by` added to the offsets; an offset of 0 means that there is none."""
+    """Returns the fields with `by` added to the given offsets, except to offsets of 0, which mean "none"."""
     return [
         field._replace(value=field.value + by) if field.id in numbers and field.value else field for field in fields
     ]

@@ -114,7 +114,7 @@ def _write(
 
 
 def _read_thumbnail(bundle: Place, steps: int) -> bytes | None:
-    """Returns the picture of an episode, or `None` where its file is absent or its first frame cannot be read.
+    """Returns the thumbnail of an episode, or `None` if its file is absent or its first frame cannot be read.
 
     Args:
         bundle: the episode's file.
@@ -131,7 +131,7 @@ def _read_thumbnail(bundle: Place, steps: int) -> bytes | None:
 
 
 def _shrink_frame(rgb: NDArray[np.uint8]) -> bytes:
-    """Returns a (640, 640, 3) sRGB frame as a JPEG of 160 x 160 pixels, each the mean of 4 x 4."""
+    """Returns a (640, 640, 3) sRGB frame as a JPEG of 160 x 160 pixels, each the mean of 4 x 4 pixels."""
     small = Image.fromarray(rgb).reduce(FRAME_SIZE_PX // _THUMBNAIL_PX)
     buffer = io.BytesIO()
     small.save(buffer, "JPEG", quality=_QUALITY)
@@ -143,7 +143,7 @@ def _name_in_card(archive: Archive) -> None:
         card = (archive.root / CARD_FILE).read_text(encoding="utf-8")
         meta = read_dataset_meta(archive.root)
     except (FileNotFoundError, WorldError):
-        return  # the writer of the card lists the existing tables
+        return  # when the card is written, it will list the existing tables
     named = with_configs(card, split_configs(splits_at(archive.root), meta.episodes, meta.failed_attempts))
     if named != card:
         with archive.replacing(CARD_FILE) as part:

@@ -1,6 +1,6 @@
 """Decodes and encodes structures of Thrift's compact protocol, which describe the contents of a Parquet file.
 
-Keeps every field in its order, so that an unchanged structure gives the same bytes. Does not interpret fields.
+Keeps every field in its order, so that an unchanged structure is encoded to the same bytes. Does not interpret fields.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def decode(data: bytes) -> list[Field]:
     """Returns the fields of a structure.
 
     Raises:
-        ValueError: the data has a type that no Parquet file has.
+        ValueError: the data contains a type that Parquet files do not use.
         IndexError: the data is truncated.
     """
     return _Decoder(data).struct()
@@ -96,7 +96,7 @@ class _Decoder:
 
 
 def encode(fields: list[Field]) -> bytes:
-    """Returns the bytes of a structure; a structure in it may be given as encoded bytes."""
+    """Returns the bytes of a structure; nested structures may be given as encoded bytes."""
     out, last = bytearray(), 0
     for number, kind, value in fields:
         if 0 < number - last <= 15:

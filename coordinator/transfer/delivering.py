@@ -70,12 +70,12 @@ class Deliverer:
             self._publish(list(self._valid(episodes)))
 
     def _is_whole(self, arrival: Arrival) -> bool:
-        """Returns whether a bundle is the announced one; the validator computes the digest of a linked file."""
+        """Returns whether the file has the announced digest, or is linked: then the validator computes the digest."""
         pull, staged = arrival
         return staged.is_linked or self._is_announced(pull, staged.sha256)
 
     def _is_announced(self, pull: Pull, sha256: str) -> bool:
-        """Returns whether a bundle is the announced one, and refuses it if not."""
+        """Returns whether the digest of a bundle is the announced digest; refuses the bundle if not."""
         if sha256 != pull.sha256:
             self._refusals.refuse(pull, f"SHA-256 {sha256} arrived, {pull.sha256} was announced")
         return sha256 == pull.sha256

@@ -1,4 +1,4 @@
-"""Fetches announced bundles from workers into part files: a bundle in chunks, or several small ones in one request.
+"""Fetches announced bundles from workers into part files: one in chunks, or several small bundles in one request.
 
 The module does not validate, publish or retry: the worker's next heartbeat announces a bundle again.
 """
@@ -71,7 +71,7 @@ class Transfer:
             self.staged.abandon()
 
     def restart(self) -> None:
-        """Deletes the part file; the next turn begins again, without other bundles."""
+        """Deletes the part file; the next turn fetches the bundle from its beginning, without other bundles."""
         self.abandon()
         self.staged, self.is_alone = None, True
 
@@ -127,7 +127,7 @@ class Fetcher:
         """Mapping of episode number to the failed transfers of its bundle."""
 
     def joins(self, turn: Sequence[Transfer], transfer: Transfer) -> bool:
-        """Returns whether a bundle is fetched together with those of a turn: all are small and in one spool."""
+        """Returns whether a bundle can be fetched with those of a turn: all must be small and in the same spool."""
         size = sum(each.pull.size for each in turn) + transfer.pull.size
         return (
             len(turn) < _TOGETHER
@@ -159,7 +159,7 @@ class Fetcher:
     def fetch(self, host: str, turn: Sequence[Transfer]) -> list[Transfer]:
         """Fetches the bundles of a turn; returns those that are complete.
 
-        A single bundle may need further turns: it is incomplete and not refused.
+        A bundle that is fetched alone may need several turns; until the last turn it is neither returned nor refused.
 
         Raises:
             TransientError: the worker does not serve the bundles, or the coordinator is closing.

@@ -100,7 +100,7 @@ class LayoutStore:
         entry = replace(staged, path=self._keep(layout, staged))
         planned = tuple(expand_layout(plan, build.number, plan.spans[layout][0], entry))
         add_files(self.packages, entry)
-        self.catalog[layout] = entry  # before the commit, after which workers claim the episodes
+        self.catalog[layout] = entry  # before the commit, because workers can claim the episodes immediately after it
         if self.writer.call(
             lambda connection: outcomes.record_package(
                 connection, pull.lease, pull.sha256, entry.sha256, planned, self.clock()
@@ -114,7 +114,7 @@ class LayoutStore:
             del self.catalog[layout]
 
     def _keep(self, layout: str, staged: SceneEntry) -> Path:
-        """Stores a package in the dataset, and returns the path of a local file with it."""
+        """Stores a package in the dataset, and returns the path of a local copy."""
         stored = self.archive.add_scene(staged.path, layout, staged.sha256, staged.textures)
         if isinstance(stored, Path):
             return stored
@@ -130,7 +130,10 @@ class LayoutStore:
         return copy
 
     def _remove_others(self, layout: str, entry: SceneEntry) -> None:
-        """Removes packages of the layout whose build was not recorded; another processor may give other bytes."""
+        """Removes packages of the layout whose builds were not recorded.
+
+        They can exist because the bytes of a package depend on the processor that builds it.
+        """
         for path in (self.state_dir / SCENES).glob(f"{layout}-*.scene.zip"):
             if path != entry.path:
                 path.unlink()
@@ -164,7 +167,7 @@ def layout_faults(plan: Plan, layout: str, entry: SceneEntry) -> Iterator[str]:
     """Yields the reasons why a package cannot be the layout of a plan, one line each."""
     found = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
     if not found and plan.language is not None:
-        from coordinator.expansion.sentences import find_missing_instructions  # other plans do not import the grammars
+        from coordinator.expansion.sentences import find_missing_instructions  # loads the grammars
 
         found = find_missing_instructions(plan, {layout: entry})
     yield from found

@@ -130,7 +130,7 @@ class Pullers(Closing):
         try:
             return [] if self._stop.is_set() else self._advance(host, turn)
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
-            if len(turn) > 1:  # the bundles get separate turns, which show the faulty one
+            if len(turn) > 1:  # separate turns then show which bundle is faulty
                 log.debug("served_apart", host=host, bundles=len(turn), error=str(error))
                 for transfer in turn:
                     transfer.restart()

@@ -1,4 +1,4 @@
-"""Validates transferred bundles completely, or only their claims if their worker has validated them.
+"""Validates transferred bundles completely, or without their frames if their worker has validated them.
 
 Spot checks of such bundles are complete. A worker cannot predict which of its bundles are spot checks: the draw depends
 on a secret of this process and on the announced digest. The module does not transfer, publish or refuse bundles.

@@ -20,15 +20,15 @@ from schemas.errors import InvalidBundle
 from schemas.support.planar import yaw_of
 
 EMPTY_SLACK_SHARE = 0.001
-"""Tolerated share of pixels with depth but no id, or an id but no depth: two passes may rasterise differently."""
+"""Tolerated share of pixels with depth but no id, or an id but no depth. Two passes may rasterise differently."""
 FROZEN_DEPTH = (0.005, 0.005)
-"""Motion (metres, radians) after which depth must differ: far less motion changes the float32 depth of a surface."""
+"""Motion (metres, radians) after which depth must differ. Much less motion changes the float32 depth of a surface."""
 FROZEN_COLOUR = (0.15, 0.10)
-"""Motion (metres, radians) after which colour must differ: it may stay equal for a while in front of a plain wall."""
+"""Motion (metres, radians) after which colour must differ. In front of a plain wall, it stays equal for a while."""
 DEPTH_SLACK_M = 1e-3
-"""Tolerated depth beyond the camera's far plane, metres: rounding of the projection."""
+"""Tolerated depth beyond the camera's far plane, metres, for rounding errors of the projection."""
 MAX_FINDINGS = 20
-"""Maximum number of listed findings about single frames; further findings are counted only."""
+"""Maximum number of listed findings about single frames; more findings are only counted."""
 
 _GLANCE = 64
 
@@ -143,7 +143,7 @@ class _FrozenImages:
 
     def take(self, t: int, image: Image) -> list[str]:
         if self._last is None or not _are_same(image, self._last) or not image.any():
-            self._last, self._since, self._told = image, t, False  # an empty image is equal from every pose
+            self._last, self._since, self._told = image, t, False  # empty images may be equal
             return []
         moved_m = float(np.hypot(*(self._xy[t] - self._xy[self._since])))
         turned = abs(float((self._yaw[t] - self._yaw[self._since] + np.pi) % (2 * np.pi) - np.pi))

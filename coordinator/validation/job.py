@@ -17,7 +17,7 @@ from schemas.scene import Target
 from schemas.terms import Recording
 
 CENTROID_SLACK_M = 1e-6
-"""Tolerance between the centroids in meta.json and in the scene, metres: both are the same float64 written as JSON."""
+"""Tolerance between the centroids in meta.json and in the scene, metres. Both are the same float64, written as JSON."""
 
 
 _DRAWN = frozenset({"target_id", "colour"})
@@ -41,7 +41,7 @@ def table_findings(meta: EpisodeMeta) -> list[str]:
     """Returns the contradictions within the metadata: episode id, instruction, instance table and frame digests."""
     found = []
     if meta.episode_id != meta.job.episode_id:
-        found.append(f"episode_id {meta.episode_id!r}, its job's index gives {meta.job.episode_id!r}")
+        found.append(f"episode_id is {meta.episode_id!r}, but the index of the job gives {meta.job.episode_id!r}")
     steps = meta.rollout.num_steps
     frames = steps if meta.job.record is Recording.FRAMES else len(meta.job.sampled_steps(steps))
     if len(meta.frame_digests) != frames:
@@ -66,7 +66,9 @@ def target_findings(meta: EpisodeMeta, candidates: Sequence[Target]) -> list[str
         "target_instance_id": (meta.target_instance_id, target.instance_id),
         "target_footprint_m": (meta.target_footprint_m, target.footprint_m),
     }
-    found = [f"{name} {ours!r}, the scene says {theirs!r}" for name, (ours, theirs) in pairs.items() if ours != theirs]
+    found = [
+        f"{name} is {ours!r}, but the scene has {theirs!r}" for name, (ours, theirs) in pairs.items() if ours != theirs
+    ]
     off = math.dist(meta.target_centroid_m, target.centroid_m)
     if not off <= CENTROID_SLACK_M:
         found.append(f"target_centroid_m is {off:.6f} m away from the scene's {target.centroid_m}")
@@ -76,11 +78,11 @@ def target_findings(meta: EpisodeMeta, candidates: Sequence[Target]) -> list[str
 def _language_findings(meta: EpisodeMeta) -> list[str]:
     job, said = meta.job, meta.language
     if meta.questions and (job.language is None or not job.language.questions):
-        return ["questions that are not planned"]
+        return ["the episode has questions, but its job plans none"]
     if job.template_id == FROM_START:
         return ["the episode has no verified instruction"] if said is None else _wording_findings(job, said)
     if said is not None:
-        return ["a verified instruction in an episode whose job has a template"]
+        return ["the episode has a verified instruction, but its job has a template"]
     if job.template_id not in TEMPLATES:
         return [f"template_id {job.template_id!r} does not exist"]
     if job.colour == "unknown" and needs_colour(job.template_id):
@@ -90,7 +92,7 @@ def _language_findings(meta: EpisodeMeta) -> list[str]:
         found.append(f"template {job.template_id} does not belong to split {job.split}")
     wanted = instruction(job.template_id, job.category, job.colour)
     if job.instruction != wanted:
-        found.append(f"instruction {job.instruction!r}, template {job.template_id} gives {wanted!r}")
+        found.append(f"instruction is {job.instruction!r}, but template {job.template_id} gives {wanted!r}")
     return found
 
 
@@ -110,7 +112,7 @@ def _wording_findings(job: Job, said: Instruction) -> list[str]:
     if surplus:
         found.append(f"features {', '.join(surplus)} are not planned")
     if (said.kind is InstructionKind.FALSE_PREMISE) != job.is_false_premise:
-        found.append(f"an instruction of kind {said.kind} in split {job.split}")
+        found.append(f"an instruction of kind {said.kind} is not allowed in split {job.split}")
     return found
 
 
@@ -129,7 +131,7 @@ def _instance_findings(meta: EpisodeMeta) -> list[str]:
     if target.category != meta.job.category:
         found.append(f"the target is a {target.category} in the instance table, the job asks for a {meta.job.category}")
     if target.prim_path != meta.target_prim_path:
-        found.append(f"target_prim_path {meta.target_prim_path!r}, the instance table says {target.prim_path!r}")
+        found.append(f"target_prim_path is {meta.target_prim_path!r}, but the instance table has {target.prim_path!r}")
     return found
 
 

@@ -46,12 +46,14 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
         fault = _mistake_fault(said, job.language, reader)
     found = [f"instruction {said.text!r}: {fault}"] if fault else []
     if said.distractors != scene.distractors(number):
-        found.append(f"distractors {said.distractors}, the scene has {scene.distractors(number)}")
+        found.append(
+            f"the instruction records {said.distractors} distractors, but the scene has {scene.distractors(number)}"
+        )
     return found
 
 
 def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str:
-    """Returns why the sentence is not the clean one with a planned error; empty if it is."""
+    """Returns why the sentence is not the error-free sentence with one planned error; empty if it is."""
     assert said.clean is not None
     if said.mistake is None or not spec.mistakes.get(said.mistake):
         return "its error is not planned"

@@ -18,34 +18,35 @@ from schemas.support.planar import yaw_of
 F64 = NDArray[np.float64]
 
 COMMAND_SLACK = 1e-4
-"""Tolerance of commands, m/s and rad/s: float32 rounding of a command and of the previous one."""
+"""Tolerance of commands, m/s and rad/s, for the float32 rounding of a command and of the previous command."""
 QUATERNION_SLACK = 1e-3
-"""Tolerated deviation of a quaternion's norm from 1: float32 rounding is 1e-7, and physics normalises every step."""
+"""Tolerated deviation of a quaternion's norm from 1. Physics normalises at every step; float32 rounding is 1e-7."""
 HEIGHT_SLACK_M = 0.03
-"""Tolerated height change of base_link from frame 0, metres: the floor is flat, and springs give millimetres."""
+"""Tolerated height change of base_link from frame 0, metres. The floor is flat, and the springs move by millimetres."""
 MAX_TILT_RAD = 0.10
-"""Maximum tilt of base_link, radians: braking at 8 m/s2 gives about 0.01, contact with an obstacle a few hundredths."""
+"""Maximum tilt of base_link, radians. Braking at 8 m/s2 tilts it by about 0.01, an obstacle by a few hundredths."""
 LAG_STEPS = 6
-"""Number of periods (0.1 s) for which the wheels may follow an older command."""
+"""Number of periods for which the wheels may follow an older command; 0.1 s at 60 Hz."""
 STEP_SLACK_M = 0.003
-"""Tolerated displacement per step beyond the command, metres: measured below 0.001 without contact."""
+"""Tolerated displacement per step beyond the command, metres. Without contact, less than 0.001 was measured."""
 CONTACT_STEP_SLACK_M = 0.02
-"""Tolerated displacement per step with contact, metres: the solver separates overlaps; measured below 0.011."""
+"""Tolerated displacement per step with contact, metres. The solver separates overlaps by less than 0.011 (measured)."""
 SIDE_SLACK_M = 0.003
-"""Tolerated lateral displacement per step, metres: measured below 0.0005 in successes without contact."""
+"""Tolerated lateral displacement per step, metres. In successes without contact, less than 0.0005 was measured."""
 YAW_STEP_SLACK_RAD = 0.015
-"""Tolerated turn per step beyond command and skid without contact, radians: measured up to 0.0063 in 220 successes."""
+"""Tolerated turn per step beyond command and skid without contact, radians. In 220 successes, at most 0.0063 was
+measured."""
 CONTACT_YAW_STEP_SLACK_RAD = 0.08
-"""Tolerated turn per step with contact, radians: off-centre pushes turn the robot; measured below 0.034."""
+"""Tolerated turn per step with contact, radians. Off-centre pushes turn the robot by less than 0.034 (measured)."""
 PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
-"""Tolerance (metres, share) of the driven distance in a window without contact: wheels follow commands to 0.2 %."""
+"""Tolerance (metres, share) of the driven distance in a window without contact. Wheels follow commands to 0.2 %."""
 TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.10, 0.10
 """Tolerance (radians, share) of the turned angle in a window without contact and skid."""
 SKID_TURN = 4.0
 """Additional turn, radians, per radian of turn commanded at 1 m/s. The tail-heavy robot oversteers in fast bends and
 can spin at 5 rad/s (4 of 700 episodes, all timeouts). Slow turns and straight motion have no allowance."""
 SKID_PATH_M = 1.0
-"""Tolerated reduction of the distance per second of a fast bend, metres: measured up to 0.65 while spinning."""
+"""Tolerated reduction of the distance per second of a fast bend, metres. While spinning, up to 0.65 was measured."""
 SKID_STEP_M = 0.008
 """Tolerated lateral or backward displacement per step, metres per m/s2 of a fast bend."""
 SKID_STEPS = 90

@@ -20,8 +20,8 @@ DISTANCE_SLACK_M = 1e-6
 POSE_SLACK = 1e-6
 """Tolerance between the recorded spawn pose and pose 0, metres and radians; both use the same formula."""
 SPEED_SLACK_MPS = 1e-3
-"""Tolerance between measured speed and speed of the recorded poses, m/s: float32 poses of format 1
-have a resolution of 4e-6 m at 50 m; times 60 Hz."""
+"""Tolerance between measured speed and speed of the recorded poses, m/s. At 50 m, float32 poses of
+format 1 have a resolution of 4e-6 m, which is multiplied by 60 Hz."""
 RADIUS_SLACK_M = 1e-5
 """Tolerance between distances of float64 and of float32 poses (format 1), metres."""
 
@@ -74,12 +74,16 @@ def _statistics_findings(meta: EpisodeMeta, track: TrackMeasure, frames: int) ->
     rollout = meta.rollout
     names = ("spawn_dist_m", "trajectory_length_m", "final_ne_m", "final_ne_3d_m", "min_ne_m")
     found = [
-        f"{name} {getattr(rollout, name):.6f}, the poses give {getattr(track, name):.6f} m"
+        f"{name} is {getattr(rollout, name):.6f}, but the poses give {getattr(track, name):.6f} m"
         for name in names
         if not abs(getattr(rollout, name) - getattr(track, name)) <= DISTANCE_SLACK_M
     ]
     counts = {"collision_count": rollout.collision_count, "steps_visible": rollout.steps_visible}
-    found += [f"{name} {count} in {frames} steps" for name, count in counts.items() if (count or 0) > frames]
+    found += [
+        f"{name} is {count}, but the episode has {frames} steps"
+        for name, count in counts.items()
+        if (count or 0) > frames
+    ]
     if frames > meta.job.task.max_steps:
         found.append(f"num_steps {frames} is more than the job's max_steps {meta.job.task.max_steps}")
     return found
@@ -93,13 +97,15 @@ def _surface_findings(meta: EpisodeMeta, track: TrackMeasure) -> list[str]:
         if said is None and measured is None:
             continue
         if said is None or measured is None or not abs(said - measured) <= DISTANCE_SLACK_M:
-            found.append(f"{name} {said}, the poses and the footprint give {measured}")
+            found.append(f"{name} is {said}, but the poses and the footprint give {measured}")
     return found
 
 
 def _contact_findings(meta: EpisodeMeta) -> list[str]:
     limit, steps = meta.job.demonstration.max_contact_steps, meta.rollout.collision_count
-    return [] if limit is None or steps <= limit else [f"collision_count {steps}, the plan allows {limit}"]
+    if limit is None or steps <= limit:
+        return []
+    return [f"collision_count is {steps}, but the plan allows at most {limit}"]
 
 
 def _goal_findings(meta: EpisodeMeta, track: TrackMeasure, poses: NDArray[np.float64]) -> list[str]:
@@ -108,7 +114,7 @@ def _goal_findings(meta: EpisodeMeta, track: TrackMeasure, poses: NDArray[np.flo
     except WorldError as error:
         return [str(error)]
     distances = goal.distances(poses[:, :2])
-    if meta.job.is_false_premise:  # the goal is the start
+    if meta.job.is_false_premise:  # then the goal is the start
         distances = np.linalg.norm(poses[:, :2] - poses[0, :2], axis=1)
     return [*_spawn_findings(meta, track, goal), *_success_findings(meta, distances, poses)]
 
@@ -120,7 +126,9 @@ def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure, goal: Goal) -> list[
     if not (off <= POSE_SLACK and turned <= POSE_SLACK):
         found.append(f"spawn_pose is {off:.6f} m and {turned:.6f} rad away from pose 0")
     if meta.rollout.spawn_draws > meta.job.spawn.physics_draws:
-        found.append(f"spawn_draws {meta.rollout.spawn_draws}, the job allows {meta.job.spawn.physics_draws}")
+        found.append(
+            f"spawn_draws is {meta.rollout.spawn_draws}, but the job allows at most {meta.job.spawn.physics_draws}"
+        )
     low, high = TIER_RANGE_M.get(meta.job.tier, (0.0, math.inf))
     slack = meta.job.spawn.max_displacement_m  # the warm-up may move the robot this far from the sampled pose
     distance = goal.distance(*track.spawn_pose[:2])
@@ -137,7 +145,7 @@ def _success_findings(meta: EpisodeMeta, distances: NDArray[np.float64], poses: 
     if len(poses) <= steps:
         return [f"{len(poses)} frames are too few for a success, which needs {steps} stationary steps"]
     found = []
-    last = poses[-steps - 1 :, :2]  # one more pose, because a speed needs two
+    last = poses[-steps - 1 :, :2]  # one more pose, because a speed is computed from two poses
     farthest = float(distances[-steps:].max())
     if not farthest <= task.success_radius_m + RADIUS_SLACK_M:
         found.append(

@@ -13,7 +13,7 @@ from schemas.measure import Goal
 from schemas.terms import ExpertName
 
 GEODESIC_SLACK_M = 0.05
-"""Tolerance of the geodesic distance, metres: one grid cell, because a path ends on a cell and not on the edge."""
+"""Tolerance of the geodesic distance, metres: one grid cell, because a path ends on a cell, not at the edge."""
 START_SLACK_M = 1e-4
 """Tolerance between the path's first pose and pose 0, which is float32 in format 1, metres."""
 STRIDE_M = 0.2 + 1e-6

@@ -27,11 +27,13 @@ def rig_findings(bundle: BundleReader) -> list[str]:
     found = []
     if bundle.has_sensors != (rig is not None):
         of_job = "no rig" if rig is None else f"the rig {rig.name}"
-        found.append(f"the bundle {'has' if bundle.has_sensors else 'lacks'} measurements; its job has {of_job}")
+        found.append(f"the bundle {'has' if bundle.has_sensors else 'lacks'} measurements, but its job has {of_job}")
     if (meta.format > FORMAT_WITHOUT_RIG) != (format_of(meta.job) > FORMAT_WITHOUT_RIG):
-        found.append(f"format {meta.format}; bundles of its job have format {format_of(meta.job)}")
+        found.append(f"the bundle has format {meta.format}, but bundles of its job have format {format_of(meta.job)}")
     if list(meta.sensor_digests) != wanted:
-        found.append(f"digests of the sensors {list(meta.sensor_digests)}, its rig has {wanted}")
+        found.append(
+            f"the bundle has digests of the sensors {list(meta.sensor_digests)}, but its rig has the sensors {wanted}"
+        )
     return found
 
 

@@ -95,9 +95,10 @@ def _format_findings(bundle: BundleReader) -> list[str]:
     if bundle.pose_dtype != wanted:
         found.append(f"poses.npy has {bundle.pose_dtype}; bundles of format {meta.format} have {np.dtype(wanted)}")
     if bundle.has_frames != (record is Recording.FRAMES):
-        found.append(f"the bundle {'has' if bundle.has_frames else 'lacks'} frames; its job records {record}")
+        found.append(f"the bundle {'has' if bundle.has_frames else 'lacks'} frames, but its job records {record}")
     is_counted = record is Recording.FRAMES or meta.job.expert.uses_images
     if (meta.rollout.steps_visible is not None) != is_counted:
         seen, expert = meta.rollout.steps_visible, meta.job.expert
-        found.append(f"steps_visible {seen} in a recording of {record} by the {expert} expert")
+        wanted_count = "a number" if is_counted else "null"
+        found.append(f"steps_visible is {seen}, not {wanted_count}, in a recording of {record} by the {expert} expert")
     return found

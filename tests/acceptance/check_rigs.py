@@ -1,8 +1,8 @@
-"""`make check-rigs`: one drive of states, rendered with three rigs and two appearances, in every format with sensors.
+"""`make check-rigs`: renders one states episode with three rigs and two appearances, and checks its exports.
 
-Each export is opened with the reader of its format: LeRobot's loader, the MCAP reader with its protobuf decoder,
-rosbags, webdataset, and OpenCV and numpy for the paper layout. Prints one row for each export, and exits with 1 if a
-measurement of a sensor is missing.
+Exports each rendered dataset to every format that can contain sensors, and opens each export with the reader of its
+format: LeRobot's loader, the MCAP reader with its protobuf decoder, rosbags, webdataset, and OpenCV and numpy for the
+paper layout. Prints one row for each export, and exits with 1 if a measurement of a sensor is missing.
 
     python -m tests.acceptance.check_rigs --lerobot PYTHON [--rig NAME ...] [--root DIR]
 """
@@ -34,11 +34,11 @@ from schemas.rig.file import load_rig
 RIGS = ("paper", "turtlebot4", "nova-carter")
 APPEARANCES = ("none", "varied")
 RATE_HZ = 3.0
-"""Rate of the cameras and lidars of the rigs with several sensors, which store megabytes for each step."""
+"""Rate of cameras and lidars in rigs with several sensors, Hz; low, because such rigs store megabytes for each step."""
 PLAN = Path(__file__).parents[2] / "docs/training/near_office.toml"
 READER = Path(__file__).parents[1] / "readers/lerobot_rig_reader.py"
 Found = Counter[tuple[str, str]]
-"""Number of measurements by sensor and array, as a format names the array."""
+"""Number of measurements by sensor and array, with the name of the array in the format."""
 
 
 def read_paper(out: Path) -> Iterable[tuple[str, str]]:
@@ -82,29 +82,29 @@ def _pair(name: str, separator: str) -> tuple[str, str]:
 
 
 def paper_arrays(sensor: Sensor) -> Iterable[str]:
-    """Returns the folders or files of a sensor."""
+    """Returns the names of the folders or files of a sensor in the paper layout."""
     return (name for name in arrays_of(sensor) if name != "cosines")
 
 
 def webdataset_arrays(sensor: Sensor) -> Iterable[str]:
-    """Returns the members of a sensor in each sample."""
+    """Returns the names of the members of a sensor in a webdataset sample."""
     return ("motion",) if is_of_motion(sensor) else paper_arrays(sensor)
 
 
 def foxglove_topics(sensor: Sensor) -> Iterable[str]:
-    """Returns the topics of a sensor."""
+    """Returns the topics of a sensor in an MCAP file for Foxglove."""
     has_calibration = hasattr(sensor, "outputs") and not isinstance(sensor, EquirectangularCamera)
     return (*ros2_topics(sensor), *(("calibration",) if has_calibration else ()))
 
 
 def ros2_topics(sensor: Sensor) -> Iterable[str]:
-    """Returns the topics of a sensor."""
+    """Returns the topics of a sensor in an MCAP file for ROS 2."""
     named = {"lidar2d": ("scan",), "lidar3d": ("points",), "imu": ("imu",), "odometry": ("odom",)}
     return named.get(sensor.model) or arrays_of(sensor)
 
 
 class Reader(NamedTuple):
-    """Reader of a format, with the options of the export."""
+    """Export options and reader of a format."""
 
     words: tuple[str, ...]
     """Options of `factory export`."""
@@ -123,10 +123,10 @@ READERS = {
 
 
 def check_export(name: str, out: Path, rig: Rig, steps: int, hz: int) -> str:
-    """Returns what the reader of an export reads.
+    """Counts the measurements in an export; returns the number of sensors and measurements as text.
 
     Raises:
-        AssertionError: a sensor has other measurements than it should have.
+        AssertionError: an array of a sensor has another number of measurements than expected.
     """
     reader = READERS[name]
     every = 1 if name != "webdataset" else round(hz / RATE_HZ)

@@ -1,7 +1,7 @@
 """`make compare-recordings`: records a plan as states and as frames, renders the states, and compares the datasets.
 
-Prints what is equal and which values differ; exits with 1 if one differs that describes the episodes, not the recording
-or the run.
+Prints the comparisons and the values that differ. Exits with 1 if a value differs that should not depend on the
+recording or the run.
 
     python -m tests.acceptance.compare_recordings PLAN [--episodes N] [--scene NAME] [--exported N] [--root DIR]
 """
@@ -25,10 +25,11 @@ from factory.dataset.reader import Dataset
 from factory.export.output import WORK_FOLDER
 
 OF_RUN = frozenset({"created_at", "updated_at", "worker", "at", "seconds", "file_sha256", "file_bytes"})
-"""Values that differ between two runs of one plan: times, workers, and the files that contain them."""
+"""Values that can differ between two runs of one plan: times, workers, and digest and size of the episode files."""
 OF_RECORDING = frozenset({"run", "plan_digest", "content_digest", "dataset_digest", "steps_visible"})
-"""Values that differ between both recordings: the plan with its digest, the digests with those of all frames, and the
-number of steps with the target in view, which is null in a states recording of an expert that uses no images."""
+"""Values that can differ between a frames and a states recording: the plan digest, the digests that include the frames,
+and the number of steps with the target in view. That number is null in a states recording of an expert that uses no
+images."""
 EXPORTS: Mapping[str, tuple[str, ...]] = {
     "paper": (),
     "lerobot": ("--depth", "--ids"),
@@ -43,23 +44,24 @@ EXPORTS: Mapping[str, tuple[str, ...]] = {
 
 
 class Difference(NamedTuple):
-    """Values of two datasets that differ."""
+    """A difference between two datasets."""
 
     what: str
     """File, and column or field."""
     text: str
     """Description of the difference."""
     is_expected: bool
-    """Whether the value describes the recording or the run."""
+    """Whether the value may differ, because it depends on the recording or the run."""
 
 
 def compare_datasets(one: Path, other: Path, *, same_recording: bool) -> list[Difference]:
-    """Returns the differences of two datasets of one plan: tables, description, card, and every episode.
+    """Compares two datasets of one plan: tables, `dataset_meta.json`, dataset card and every episode.
 
     Args:
         one: dataset directory.
         other: dataset directory.
-        same_recording: whether both datasets have the same recording; then the values of the recording must be equal.
+        same_recording: whether both datasets have the same recording; if so, the values of `OF_RECORDING` must be
+            equal too.
     """
     free = OF_RUN if same_recording else OF_RUN | OF_RECORDING
     found = [*_compare_meta(one, other, free), *_compare_episodes(one, other, same_recording)]
@@ -75,7 +77,7 @@ def compare_datasets(one: Path, other: Path, *, same_recording: bool) -> list[Di
 
 
 def compare_trees(one: Path, other: Path) -> list[Difference]:
-    """Returns the files that differ in two exports."""
+    """Returns a difference for each file that differs between two exports or is in one export only."""
     files = [_files(root) for root in (one, other)]
     found = [Difference(name, "in one export only", is_expected=False) for name in sorted(files[0] ^ files[1])]
     for name in sorted(files[0] & files[1]):
@@ -116,7 +118,7 @@ def _compare_meta(one: Path, other: Path, free: frozenset[str]) -> Iterator[Diff
 
 
 def _compare_episodes(one: Path, other: Path, same_recording: bool) -> Iterator[Difference]:
-    """Yields the episodes with other actions, poses or metadata, and for one recording with other frames."""
+    """Yields a difference for each episode whose actions, poses or metadata differ; with one recording, also frames."""
     for first, second in zip(Dataset(one), Dataset(other), strict=True):
         with first, second:
             values: list[tuple[str, Any, Any]] = [("states", first.states_digest, second.states_digest)]
@@ -155,7 +157,7 @@ def _compare_exports(format_name: str, roots: Sequence[Path], episodes: int) -> 
 
 
 def _record(root: Path, plan: str, words: Sequence[object]) -> tuple[Path, Path, Path]:
-    """Makes or continues the three datasets: frames, states, and rendered states."""
+    """Generates or continues the three datasets: frames, states, and rendered states."""
     frames, states, rendered = (root / name for name in ("frames", "states", "rendered"))
     for record in (states, frames):
         _factory("run", plan, "--record", record.name, "--out", record, *words)
@@ -174,7 +176,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Makes the three datasets and prints the comparison."""
+    """Generates the three datasets and prints the comparisons."""
     options = _arguments()
     words = [
         word for name in ("episodes", "scene") if (value := getattr(options, name)) for word in (f"--{name}", value)

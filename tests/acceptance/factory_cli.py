@@ -1,7 +1,7 @@
 """Runs the installed `factory` in separate processes with an empty home.
 
-`fresh` starts a new interpreter, for the run of the reference dataset. `start`, `run` and a call
-fork a process that has imported the commands, which saves the seconds that an interpreter needs to import them.
+`fresh` starts a new interpreter; it generates the reference dataset. `start`, `run` and calling the object fork a
+process that has imported the commands already, which saves seconds.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ success_radius_m = 1.4
 physics_substeps = 16
 max_braking_mps2 = 4.0
 """
-"""Short drives with a quarter of the usual frames per second, in the usual physics steps. They brake gently, because a
-robot that stops at once rolls back further in such a long control period than the validation accepts."""
+"""Plan of short drives with a quarter of the usual frames per second; the physics step has its usual length. The robot
+brakes gently, because a robot that stops at once rolls back: in such a long control period, it would roll back further
+than validation accepts."""
 
 IMPORTED = (
     *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # bench sets variables
@@ -58,18 +59,18 @@ IMPORTED = (
     *("factory.web.figures.process", "workers.render.process_child", "workers.sim.simulate", "moderngl"),
     "tests.builders.room_coordinator",
 )
-"""Modules that the commands and their processes import, and the coordinator of kill tests."""
+"""Modules that the commands and their child processes import, and the coordinator of the kill tests."""
 IMPORTED_BY_TESTS = (
     *("tests.builders.room_gateway", "tests.builders.small_simulation", "tests.builders.worker"),
     *("tests.chaos.host_process", "tests.fuzz.child"),
 )
-"""Modules that tests start themselves."""
+"""Modules that tests start directly as processes."""
 _HANGS_S = 800.0
 """Time after which a command counts as hung, seconds; it is killed."""
 
 
 def start_server() -> ForkServer:
-    """Starts the process that the commands are forked from; the caller closes it."""
+    """Starts the fork server for the commands; the caller closes it."""
     return ForkServer(("factory.__main__", *IMPORTED), os.environ, forks_children=True)
 
 
@@ -90,7 +91,7 @@ class Started:
         self.send_signal(signal.SIGTERM)
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """Waits for the end of the command; returns its output and its errors."""
+        """Waits for the end of the command; returns the text of its stdout and stderr."""
         self.wait(timeout)
         return self._out.read_text(), self._err.read_text()
 
@@ -114,7 +115,7 @@ class FactoryCli:
     def _fork(self, folder: Path, words: tuple[object, ...]) -> Started:
         out, err = folder / "out", folder / "err"
         for file in (out, err):
-            file.touch(0o600)  # a test may read them before the process opens them
+            file.touch(0o600)  # a test may read these files before the process opens them
         child = self._server.start("factory.__main__", [*map(str, words)], self._environment, out, err)
         return Started(child, out, err)
 

@@ -1,4 +1,4 @@
-"""User errors: each gives a message with the remedy and the right exit code, and changes no data."""
+"""User errors: each has a message that says what to do and the right exit code, and changes no data."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_directory_of_another_plan_is_not_changed(factory, reference, tmp_path
     before = episodes_in(reference)
     err = factory("run", "demo", "--scene", "hospital", "--out", reference, expect=2).stderr
     assert "choose another --out" in err
-    assert "building" not in err  # reported before any work
+    assert "building" not in err  # the error is reported before scenes are built
     assert episodes_in(reference) == before
 
 

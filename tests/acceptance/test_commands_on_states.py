@@ -1,4 +1,4 @@
-"""Every command that reads a dataset gives the same result for both recordings."""
+"""Every command that reads a dataset gives the same result for a frames recording and a states recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.acceptance.factory_cli import FactoryCli
 pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]
 DATA, OUT = "DATA", "OUT"
-"""Placeholders of the dataset and of a new file or folder."""
+"""Placeholders for the dataset and for a new file or folder."""
 OF_RECORDING = {
     "dataset",
     "run",
@@ -29,7 +29,7 @@ OF_RECORDING = {
     "act_ms",
     "difference",
 }
-"""Values that name the dataset, measure time, or count rendered frames, of which a states recording has three."""
+"""Values that may differ: they identify the dataset, measure time, or compare rendered frames."""
 PRINTING = {
     "stats": ("stats", DATA),
     "stats --language": ("stats", DATA, "--language"),

@@ -1,4 +1,4 @@
-"""`factory eval --listen`: an evaluation on workers that are killed gives the numbers of one machine."""
+"""`factory eval --listen`: an evaluation on workers that are killed has the same results as one on a single machine."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import pytest
 from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
 from tests.builders.ports import free_endpoint
 
-SLOW = "tests.builders.policies:Slow"  # last, so that the coordinator is killed before the end
+SLOW = "tests.builders.policies:Slow"  # evaluated last, so that the coordinator is killed before the end
 POLICIES = ("expert", "replay", "random", SLOW)
 
 
 @pytest.fixture(scope="module")
 def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Specs of both episodes with a low step limit."""
+    """Spec file of the two episodes of `drives`, with a low step limit."""
     path = tmp_path_factory.mktemp("specs") / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "-o", path)
     data = json.loads(path.read_text())
@@ -29,12 +29,12 @@ def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture
 def endpoint() -> str:
-    """An address that stays the same after a restart of the evaluation."""
+    """A fixed address, at which the evaluation can be restarted."""
     return free_endpoint()
 
 
 def rows_in(out: Path) -> Iterator[dict[str, Any]]:
-    """Yields the finished episodes without wall times."""
+    """Yields the results of the finished episodes without their wall times."""
     for log in sorted(out.glob("policies/*/episodes.jsonl")):
         for line in log.read_bytes().splitlines(keepends=True):
             if line.endswith(b"\n"):
@@ -42,7 +42,7 @@ def rows_in(out: Path) -> Iterator[dict[str, Any]]:
 
 
 def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """Returns the episodes by policy and spec; each must occur once."""
+    """Returns the results by policy and spec; each pair must occur only once."""
     rows = list(rows_in(out))
     found = {(row["policy"], row["spec_id"]): row for row in rows}
     assert len(found) == len(rows)
@@ -70,7 +70,7 @@ def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     said, log = run.communicate(timeout=240)
     assert run.returncode == 0, log
     assert "All episodes" in said
-    assert second.wait(60) == 0  # it was informed of the end
+    assert second.wait(60) == 0  # the evaluation has told the worker that it has ended
     factory(*words, "--workers", 1, "-o", reference)
 
     assert by_name(out) == by_name(reference)

@@ -41,7 +41,7 @@ def test_gate_refuses_a_scene_that_the_plan_does_not_have(factory):
 
 
 SHORT_EPISODES = "[task]\nmax_steps = 20\n[budget]\nattempts_per_draw = 1\ndraws = 1\n" + PILOT.replace("50", "2")
-"""Every attempt times out, and is not repeated."""
+"""Part of a plan with which every attempt times out and is not repeated."""
 
 
 @pytest.mark.parametrize("verb", [("run", "--workers", 2), ("coordinator", "start", "--listen", "tcp/127.0.0.1:0")])

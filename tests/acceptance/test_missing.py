@@ -1,4 +1,4 @@
-"""A finished run with missing episodes ends with exit code 1 and the reason, for each command."""
+"""A finished run with missing episodes ends with exit code 1 and the reason, whatever command runs it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def test_missing_episodes_end_a_run_with_exit_code_1_and_the_reason(
 ) -> None:
     out = tmp_path / "out"
     hub = factory.start("coordinator", "start", plan, "--out", out, *ENDPOINT)
-    wait_for((out / ".coordinator.json").exists, 400)  # scenes are built first
+    wait_for((out / ".coordinator.json").exists, 400)  # it builds the scenes first
     factory("jobs", "cancel", out, "--all")
     _, said = hub.communicate(timeout=120)
     assert hub.returncode == 1

@@ -26,7 +26,7 @@ def test_an_infeasible_plan_is_refused_with_the_nearest_feasible_plan(factory, t
     plan, better = tmp_path / "plan.toml", tmp_path / "better.toml"
     plan.write_text(IMPOSSIBLE)
     err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
-    assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable there: chair" in err
+    assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable in the scene: chair" in err
     assert "cell test_ood_obj" not in err
     assert "nearest possible: hospital: seen without sofa; held_out without barrel" in err
     assert "factory plan nearest" in err
@@ -43,7 +43,7 @@ def test_a_plan_without_any_available_category_is_refused_with_the_available_one
     plan.write_text("[splits]\ntrain_id = 1.0\n" + IMPOSSIBLE.replace('"chair", ', ""))
     for verb in (("run", plan, "--out", tmp_path / "x"), ("plan", "nearest", plan)):
         err = factory(*verb, expect=2).stderr
-        assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable there: chair" in err
+        assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable in the scene: chair" in err
         assert "to 0" not in err
         assert "can be reached" not in err
 
@@ -93,7 +93,7 @@ def test_a_custom_scene_is_compiled_once_and_then_checked_against_the_plan(facto
     assert "building loft" in factory("plan", "nearest", plan).stderr
     assert "building" not in factory("plan", "nearest", plan).stderr
     after = factory("plan", "show", plan)
-    assert "impossible: scenes[0] loft: no reachable 'bed' (seen); reachable there: chair;" in after.stdout
+    assert "impossible: scenes[0] loft: no reachable 'bed' (seen); reachable in the scene: chair;" in after.stdout
     assert after.stderr == ""
     told = factory.json("plan", "show", plan)
     assert (len(told["mistakes"]), told["not_built"]) == (1, [])
@@ -114,7 +114,7 @@ def test_a_plan_is_shown_with_its_categories_templates_and_expected_ambiguity(fa
     shown = factory("plan", "show", plan).stdout
     assert "share of the three most frequent categories: 100.0%" in shown
     assert "expected ambiguity: 50.0% of the instructions fit several objects of the scene" in shown
-    assert "50.0% get a start that shows only the target, 0.0% do not" in shown
+    assert "(50.0% with a start that shows only the target, 0.0% without)" in shown
     content = factory.json("plan", "show", plan)["content"]
     assert content["far_corner_shares"] == {}
     assert {row["category"]: (row["episodes"], row["share"]) for row in content["categories"]} == {
@@ -125,4 +125,4 @@ def test_a_plan_is_shown_with_its_categories_templates_and_expected_ambiguity(fa
     assert (content["ambiguous_share"], content["shown_alone_share"]) == (0.5, 0.5)
     plan.write_text(plan.read_text().replace('"view"', '"scene"'))
     refused = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
-    assert "no instruction fits only one trash_can; unique there: chair, red chair;" in refused
+    assert "no instruction fits only one trash_can; unique in the scene: chair, red chair;" in refused

@@ -35,7 +35,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def push(server: ForkServer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Push:
-    """`factory push` with a token, or with `None` without one."""
+    """Returns a function that runs `factory push` with a token; `token=None` runs it without a token."""
     for name in os.environ:
         if name.startswith(("HF_", "HUGGING")):
             monkeypatch.delenv(name)

@@ -16,7 +16,7 @@ from tests.builders.pages import ROOT, blocks, factory_lines
 
 @pytest.fixture
 def section(tmp_path: Path) -> Path:
-    """A page with only the example."""
+    """A Markdown file that contains only the example."""
     found = re.search(r"^## Sixty seconds\n.*?(?=^## )", (ROOT / "README.md").read_text(), re.DOTALL | re.MULTILINE)
     assert found is not None
     page = tmp_path / "example.md"

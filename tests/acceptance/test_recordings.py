@@ -17,7 +17,7 @@ pytestmark = pytest.mark.gl
 
 @pytest.fixture(scope="session")
 def rendered(factory: FactoryCli, states: Path, shared: Path) -> Path:
-    """The rendered states; tests only read it."""
+    """The dataset that `factory render` makes of `states`; tests only read it."""
     return build_once(shared / "reference-rendered", lambda root: factory("render", states, "-o", root))
 
 

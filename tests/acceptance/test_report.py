@@ -16,7 +16,7 @@ def test_a_report_is_written_and_rewritten(factory, reference, tmp_path):
     assert all((tmp_path / "out" / name).stat().st_size > 0 for name in found["files"])
     assert found["page"] == str(tmp_path / "out" / "report.html")
     assert json.loads((tmp_path / "out" / "report.json").read_text())["files"] == found["files"]
-    assert found["comparisons"] == []  # its plan is not the paper's
+    assert found["comparisons"] == []  # the plan differs from the paper's plan
     found = factory.json("report", reference, "-o", tmp_path / "out", "--compare-paper")
     said = {row["what"]: row for row in found["comparisons"]}
     assert said["TL mean, all"]["published"] == 2.74

@@ -66,7 +66,7 @@ def test_kills_of_coordinator_and_worker_neither_lose_nor_change_data(factory, p
 
 def test_an_interrupted_run_resumes_and_repeats_no_episode(factory, plan, reference, tmp_path):
     root = tmp_path / "interrupted"
-    running = factory.start("run", plan, "--out", root, "--workers", 1)  # so that few episodes end at once
+    running = factory.start("run", plan, "--out", root, "--workers", 1)  # one worker, because two finish too fast
     wait_for(lambda: len(episodes_in(root)) >= 1)
     running.send_signal(signal.SIGINT)
     assert running.wait(60) == 130
@@ -146,7 +146,7 @@ def test_a_contact_sheet_is_drawn(factory, reference, tmp_path):
 
 
 def processes_that_name(root: Path) -> list[int]:
-    """Returns the ids of processes with the directory on their command line."""
+    """Returns the IDs of all processes whose command line contains the directory."""
     found = []
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():

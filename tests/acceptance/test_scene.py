@@ -17,7 +17,7 @@ def room(factory, folder, body=None):
 
 @pytest.fixture(scope="module")
 def compiled(factory, tmp_path_factory):
-    """The stage of the room and its package; tests only read them."""
+    """USD file of a room and its compiled package; tests only read them."""
     return room(factory, tmp_path_factory.mktemp("room"))
 
 

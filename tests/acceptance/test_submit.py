@@ -1,4 +1,4 @@
-"""`factory submit slurm` with a stub of sbatch: the folder of a run, and what remains after a refusal."""
+"""`factory submit slurm` with a stub of sbatch: the run folder, and that a refused run leaves no files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if grep -q partition=cpu "${@: -1}"; then echo 7; else echo "no such partition" 
 
 @pytest.fixture
 def site(server: ForkServer, cache: Path, tmp_path: Path, plan: Path) -> FactoryCli:
-    """A login node whose Slurm accepts the partition `cpu` only."""
+    """The command line on a login node where Slurm accepts only the partition `cpu`."""
     (tmp_path / "bin").mkdir()
     sbatch = tmp_path / "bin" / "sbatch"
     sbatch.write_text(_SBATCH)

@@ -32,10 +32,10 @@ def test_only_admitted_workers_can_finish_a_run_behind_tls(factory: FactoryCli, 
     factory("jobs", "cancel", out, "2", "--tls", pki / "boss")
     factory("worker", "--connect", endpoint, "--tls", pki / "node-1", "--spool", tmp_path / "spool")
     _, said = hub.communicate(timeout=60)
-    assert hub.returncode == 1  # a cancelled episode is missing
+    assert hub.returncode == 1  # because the cancelled episode is missing
     assert "1 of 2 episodes are missing (1 cancelled)" in said
     assert [line.split(".")[0] for line in said.splitlines() if " joined with " in line] == ["worker node-1"]
-    # a worker that starts later reads from the run folder that the run is finished
+    # a worker that starts after the run reads from the run folder that the run is finished
     factory("worker", "--connect", f"@{out}", "--tls", pki / "node-1", "--spool", tmp_path / "spool")
     progress = factory.json("status", out)
     assert (progress["jobs"]["archived"], progress["jobs"]["cancelled"]) == (1, 1)

@@ -1,4 +1,4 @@
-"""The web page of `factory run --http`: a run is watched until it ends, and the cost of visitors is measured."""
+"""The web page of `factory run --http`: a browser watches a run until it ends; a benchmark measures visitors' cost."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_run_is_watched_until_its_server_closes_and_names_the_command_for_the_
         page.goto(printed_url(run))
         assert re.fullmatch(r"[01] of 2 episodes archived", page.locator("#live .meter label").inner_text())
         assert page.request.get(f"{page.url}metrics").ok
-        page.wait_for_selector("#live :text-is('2 of 2 episodes archived')")  # without loading the page again
+        page.wait_for_selector("#live :text-is('2 of 2 episodes archived')")  # the page updates itself
         page.wait_for_selector("#offline:visible")
         assert f"factory serve {tmp_path / 'out'}" in page.locator("#offline").inner_text()
         assert page.locator(".tiles").inner_text().count("finished") == 1

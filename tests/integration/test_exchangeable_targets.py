@@ -1,4 +1,4 @@
-"""Episodes whose target is drawn at the start: the start does not depend on it, and validation finds it again."""
+"""Episodes whose target is drawn at the start: the start does not depend on the target; validation finds it again."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_an_episode_with_another_target_or_other_choices_is_refused(stage):
                 update={"choices": AMONG}
             ),
             "job.start_view: the bundle has": meta.model_copy(update={"job": _job(meta.job.attempt, 0.1)}),
-            "colour 'pink', the scene says": meta.model_copy(
+            "colour is 'pink', but the scene has": meta.model_copy(
                 update={"job": meta.job.model_copy(update={"colour": "pink"})}
             ),
         }

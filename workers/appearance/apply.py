@@ -48,7 +48,7 @@ def apply_appearance(scene: CompiledScene, light: LightGroups | None, drawn: Dra
 
 
 def clutter_instances(scene_ids: list[int], clutter: tuple[ClutterObject, ...]) -> tuple[Instance, ...]:
-    """Returns the instances of the clutter, whose ids follow the largest one of the scene.
+    """Returns the instances of the clutter; their ids follow the largest instance id of the scene.
 
     Raises:
         WorldError: no ids are left.

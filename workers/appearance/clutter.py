@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # loads a submodule at its first use
+import scipy  # imports a submodule at its first use; many commands need none
 
 from schemas.appearance import ClutterObject, ClutterRanges
 from schemas.scene import CompiledScene, Target

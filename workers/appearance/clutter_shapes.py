@@ -1,4 +1,4 @@
-"""Shapes of small objects as triangles with shades, for a largest side of 1, and the shadow around their foot.
+"""Shapes of small objects as triangles with shades, scaled to a largest side of 1, and the shadows around their bases.
 
 Pure functions.
 """

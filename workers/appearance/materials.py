@@ -21,7 +21,7 @@ from workers.appearance.palettes import CEILINGS, FLOORS, WALLS, Material, paint
 from workers.appearance.surfaces import SurfaceSlot, find_slots, hex_of, rgb_of
 
 _SAMPLES = 300
-"""Points on an object at which its colour is named."""
+"""Number of points on an object from which the name of its colour is determined."""
 _DOWN = -0.7
 _MAIN_SHARE = 0.25
 """Smallest area of a slot that gets a new colour, as a share of the largest slot with the same texture; smaller slots
@@ -160,7 +160,7 @@ def _change(slot: SurfaceSlot, colour: str, material: Material | None = None) ->
 def _points(scene: CompiledScene, areas: Floats, cross: Floats) -> tuple[Ints, Ints, Floats]:
     """Returns points on the objects of categories, evenly by area: their instance, triangle and weights (N, 3).
 
-    Faces that face down do not count, as when the compiler names the colours.
+    Faces that face down are omitted, as by the scene compiler when it names colours.
     """
     named = {item.id for item in scene.info.instances if item.category}
     of_triangle = np.zeros(len(areas), np.int64)

@@ -1,6 +1,7 @@
-"""Seamless patterns of surfaces, near white, which a colour multiplies: 512 x 512 pixels. The noise is an integer hash.
+"""Seamless near-white patterns of 512 x 512 pixels, which are multiplied by the colour of a surface.
 
-The patterns are part of the bytes of a dataset, so they use no generator and no transform of a library.
+The patterns are part of the bytes of a dataset. So their noise is an integer hash, and they use no random generator and
+no transform of a library.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def expose_sky(sky: Sky, gain: Rgb) -> Sky:
 
 
 def gain_of(light: LampLight, neutral_k: float) -> Rgb:
-    """Returns the factors of the red, green and blue light of a lamp; `light.gain` is the factor of its luminance."""
+    """Returns factors of the red, green and blue light of a lamp; its luminance changes by the factor `light.gain`."""
     now, then = _planckian(light.temperature_k), _planckian(neutral_k)
     red, green, blue = (light.gain * (a / b) ** (1 - _WHITE_BALANCE) for a, b in zip(now, then, strict=True))
     return red, green, blue
@@ -97,7 +97,7 @@ def _planckian(kelvin: float) -> Rgb:
 
 
 def _mean(light: Singles) -> float:
-    """Returns the mean light in steps of 1 / 4096: a sum of integers does not depend on its order."""
+    """Returns the mean light; sums integer steps of 1 / 4096, so that it does not depend on the order."""
     steps = (np.minimum(light, np.float32(_WHITE)) * np.float32(_MEAN_STEP)).astype(np.int64)
     return int(steps.sum()) / steps.size / _MEAN_STEP
 

@@ -1,4 +1,4 @@
-"""Slots of a scene: all surfaces of one kind, texture and colour, which change their material together.
+"""Slots of a scene: groups of surfaces of the same kind, texture and colour, whose materials change together.
 
 Pure functions.
 """

@@ -122,7 +122,7 @@ class Link(Closing):
         return True
 
     def send_hello(self, hello: Hello) -> tuple[HelloReply | Refusal, ...]:
-        """Registers this worker with all coordinators that answer, and returns their replies, one for each run."""
+        """Registers this worker with all coordinators that answer, and returns the reply of each."""
         found: list[HelloReply | Refusal] = []
         for payload in self._get(any_hello_key(self._host), hello.model_dump_json(), _ASK_TIMEOUT_S):
             reply = _parse(payload, HelloReply)
@@ -245,10 +245,10 @@ def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
         "mode": '"client"',
         "listen/endpoints": "[]",
         "connect/endpoints": json.dumps(list(endpoints)),
-        # finite, and retried by the caller: a signal cannot interrupt an endless connect
+        # limited, because a signal cannot interrupt the connection attempt; the caller retries
         "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
         "connect/exit_on_failure": "true",
-        # a close waits for a reconnect in progress, which a frozen router does not answer; the default is ten seconds
+        # closing waits for a reconnect in progress, to which a frozen router does not reply; the default is 10 s
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "scouting/multicast/enabled": "false",

@@ -82,7 +82,7 @@ class SceneCache:
 
     def ensure_scene(self, sha256: str, size: int, fetch: Fetch, wait: Wait) -> Path:
         """Returns the path of a package whose textures are in the folder beside it; fetches what the cache does not
-        contain. Arguments and errors as those of `ensure`.
+        contain. For arguments and errors see `ensure`.
 
         Raises:
             InvalidBundle: the package is damaged at the coordinator.

@@ -50,7 +50,7 @@ class WorkerSettings:
     hang_s: float = 60.0
     """Time without progress after which a simulation is killed as hung, scene loading included, seconds."""
     pause_s: float = 1.0
-    """Pause of a simulation slot after a crash, a hang or a release, seconds; it doubles with each of them in a row,
+    """Pause of a simulation slot after a crash, a hang or a release, seconds; it doubles with each consecutive failure,
     up to one minute."""
     wait_s: float = 30.0
     """Timeout for finding a coordinator at the start, seconds; later, a worker waits without limit."""

@@ -247,10 +247,10 @@ class Slot:
         except WorldError as error:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         if 2 * len(host.spool) >= host.settings.spool_limit:
-            # its reply names the bundles to drop; small episodes take less time than the pause between heartbeats
+            # the reply names the bundles to drop; several short episodes may end between two regular heartbeats
             host.phase.heartbeat_due.set()
         log.info("bundle_spooled", episode=name, steps=report.step, seconds=round(report.seconds, 1))
-        # once is enough: the heartbeat repeats it until the coordinator requests to drop the bundle
+        # not repeated here: each heartbeat lists the bundle until the coordinator requests to drop it
         host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)
         return report
 

@@ -38,7 +38,7 @@ def folder_of(root: Path, run: str) -> Path:
 
 
 def find_bundle(folder: Path, lease: Lease) -> Path | None:
-    """Returns the path of the finished bundle of a lease in a run's folder, of any worker, or `None`."""
+    """Returns the path of the finished bundle of a lease, in the spool of any worker of a run, or `None`."""
     for sidecar in folder.glob(f"*/{_stem(lease)}{_SIDECAR}"):
         entry = _read_sidecar(sidecar)
         if entry is not None and entry.lease == lease:

@@ -1,6 +1,6 @@
 """Image measurements of an expert: position and depth of the target in the frame, and detection of a near obstacle.
 
-Pure functions of the id and depth images. They use nothing else of the state of the simulation.
+Pure functions of the id and depth images. They use no other state of the simulation.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def is_obstacle_near(crop: NDArray[np.float32], task: TaskConfig) -> bool:
 
     Args:
         crop: (H, W) depth within `foreground_window`, metres, 0 for invalid pixels.
-        task: gives the limit.
+        task: settings of the task, with the depth limit.
     """
     near = int(np.count_nonzero(crop < task.near_obstacle_depth_m)) - int(np.count_nonzero(crop == 0.0))
     return near > 0 and are_near(near, int(np.count_nonzero(crop)))

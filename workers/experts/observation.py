@@ -22,7 +22,7 @@ class LazyFrame:
     Args:
         renderer: returns the renderer with the scene loaded; raises if the episode is over.
         pose: pose of base_link.
-        job: gives the thresholds for a visible target and a near obstacle.
+        job: job, with the thresholds for a visible target and a near obstacle.
         instance_id: id of the target.
     """
 

@@ -40,7 +40,7 @@ def optical_pose(pose: Pose, camera: CameraConfig) -> OpticalPose:
 
 
 def mounted_pose(pose: Pose, mount: Mount) -> OpticalPose:
-    """Returns the pose of the optical frame of a sensor for a pose of base_link; it looks along x of its frame."""
+    """Returns the pose of a sensor's optical frame for a pose of base_link; the optical axis is x of its frame."""
     base = _rotation(pose)
     eye = product(base, np.array(((mount.x_m,), (mount.y_m,), (mount.z_m,))))[:, 0] + (pose.x, pose.y, pose.z)
     axes = product(base, mount_rotation(mount)) if _is_turned(mount) else base

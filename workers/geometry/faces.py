@@ -58,7 +58,7 @@ class Face(NamedTuple):
 
 
 class Sampling(NamedTuple):
-    """Places in the atlas that an image of H x W pixels reads; indices are those of the flat atlas."""
+    """Places in the atlas from which an image of H x W pixels is sampled; indices refer to the flattened atlas."""
 
     nearest: NDArray[np.int32]
     """(H * W,) index of the nearest pixel; 0 for void pixels."""
@@ -74,7 +74,7 @@ class Sampling(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FacePlan:
-    """Faces of a camera, and how its image reads them."""
+    """Faces of a camera, and how its image is sampled from their atlas."""
 
     faces: tuple[Face, ...]
     """Faces, from top to bottom of the atlas."""
@@ -89,9 +89,9 @@ class FacePlan:
 def plan_faces(camera: Camera) -> FacePlan:
     """Returns the plan of a camera; the plans of the most recently used lenses are kept.
 
-    At every pixel, the faces have at least as many pixels per radian as the coarser direction of the image there, rows
-    or columns. They also have at least as many as each of the two directions has where it is coarsest. Near its poles,
-    a panorama has more pixels per radian than the faces.
+    At every pixel, the faces have at least the resolution (pixels per radian) that the image has there along its rows
+    or along its columns, whichever is lower. It is also at least the lowest resolution of the whole image along its
+    rows, and at least the lowest along its columns. Near its poles, a panorama has a higher resolution than the faces.
 
     Raises:
         UsageError: the faces would be larger than the drivers support.
@@ -143,13 +143,13 @@ def _on_sides(rays: Floats, sides: NDArray[np.int8]) -> Floats:
 
 
 def _sharpest(rays: Floats) -> float:
-    """Returns the larger one of the lowest resolutions along rows and along columns, pixels per radian."""
+    """Returns the lowest resolution along rows or the lowest along columns, whichever is higher, pixels per radian."""
     steps = [np.linalg.norm(np.diff(rays, axis=axis), axis=-1) for axis in (0, 1)]
     return float(1 / min(np.nanmax(step) for step in steps))
 
 
 def _finest(plane: Floats, sides: NDArray[np.int8]) -> float:
-    """Returns the focal length with which adjacent pixels are at least a face pixel apart along rows or columns."""
+    """Returns a focal length at which all adjacent pixels are at least one face pixel apart along rows or columns."""
     across = np.linalg.norm(np.diff(plane, axis=1), axis=-1)[:-1]
     down = np.linalg.norm(np.diff(plane, axis=0), axis=-1)[:, :-1]
     corner = sides[:-1, :-1]
@@ -158,7 +158,7 @@ def _finest(plane: Floats, sides: NDArray[np.int8]) -> float:
 
 
 def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Floats, focal: float) -> FacePlan:
-    """Returns the faces below each other, and the sampling of their atlas."""
+    """Places the faces below each other in the atlas; returns them with the sampling of the atlas."""
     used = [side for side in range(len(_AXES)) if (sides == side).any()]
     lows = [np.floor(plane[sides == side].min(axis=0) * focal).astype(int) - _MARGIN_PX for side in used]
     highs = [np.ceil(plane[sides == side].max(axis=0) * focal).astype(int) + _MARGIN_PX for side in used]
@@ -173,7 +173,7 @@ def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Float
         )
     tops = np.concatenate(([0], np.cumsum([size[1] for size in sizes])))
     faces, places = [], np.zeros_like(plane)
-    near = camera.near_m if len(used) == 1 else camera.near_m / 2  # the corner of a cube's side is 1.73 times as far
+    near = camera.near_m if len(used) == 1 else camera.near_m / 2  # depth at a cube's corner: distance / 1.73
     for side, low, size, top in zip(used, lows, sizes, tops.tolist(), strict=False):
         columns, rows = map(int, size)
         half = columns / 2 / focal, rows / 2 / focal

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-import scipy  # loads a submodule at its first use: commands that only read need none
+import scipy  # imports a submodule at its first use; many commands need none
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.scene import CompiledScene, Target
@@ -96,7 +96,7 @@ class Grid:
 
     def _least_clearance(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
         x, y, yaw = (np.asarray(values, float) for values in (x, y, yaw))
-        cos, sin = portable.cos(yaw), portable.sin(yaw)  # before the broadcast: often all poses have a few headings
+        cos, sin = portable.cos(yaw), portable.sin(yaw)  # before broadcasting, because often many poses share a heading
         discs = [self.clearance_at(stacked(x + along * cos, y + along * sin)) for along in DISC_OFFSETS_M]
         return np.asarray(np.minimum(np.minimum(discs[0], discs[1]), discs[2]))
 

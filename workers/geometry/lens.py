@@ -82,7 +82,7 @@ def optical_flow(camera: Camera, distance_m: Floats, now: OpticalPose, later: Op
     points = _pixel_rays(camera.lens()) * np.where(distance_m > 0, distance_m, np.nan)[..., None]
     moved = (points @ now.rotation.T + (now.eye - later.eye)) @ later.rotation
     flow = project(camera, moved) - pixels
-    if isinstance(camera, EquirectangularCamera):  # the shorter way around
+    if isinstance(camera, EquirectangularCamera):  # the shorter of the two directions around the panorama
         flow[..., 0] -= np.rint(flow[..., 0] / camera.width) * camera.width
     return flow
 
@@ -103,7 +103,7 @@ def _project_fisheye(camera: FisheyeCamera, points: Floats) -> Floats:
 
 
 def _project_equirectangular(camera: EquirectangularCamera, points: Floats) -> Floats:
-    azimuth = np.arctan2(points[..., 0], points[..., 2])  # to the right
+    azimuth = np.arctan2(points[..., 0], points[..., 2])  # positive to the right
     elevation = np.arctan2(-points[..., 1], np.hypot(points[..., 0], points[..., 2]))
     top, bottom = math.radians(camera.top_deg), math.radians(camera.bottom_deg)
     rows = np.where((elevation <= top) & (elevation >= bottom), (top - elevation) / (top - bottom), np.nan)

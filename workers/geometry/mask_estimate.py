@@ -15,8 +15,8 @@ from schemas.scene import CompiledScene
 from schemas.support.numpy_types import Floats
 
 _LONGEST_M = 0.7
-"""Longest side of a triangle, metres; longer ones are subdivided, because a triangle is evaluated at its centre only
-and its near part covers more of the image."""
+"""Longest side of a triangle, metres; longer triangles are subdivided, because a triangle is evaluated at its centre
+only, and its near part covers more of the image."""
 _CUTS = 3
 
 
@@ -45,7 +45,7 @@ class MaskEstimate:
     def evaluate(self, x: float, y: float, yaw: float) -> tuple[float, float]:
         """Returns an estimate of the size and mean column of the target's mask.
 
-        `workers.experts.image_measures` computes both from a rendered image.
+        `workers.experts.image_measures` computes the exact values from a rendered image.
 
         Args:
             x: x of base_link in the world, metres.

@@ -32,7 +32,7 @@ def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
     Args:
         current: twist of the previous control period.
         wanted: twist that the controller requests.
-        robot: gives the limits of acceleration and braking (m/s2) and of yaw acceleration (rad/s2).
+        robot: robot, with the limits of acceleration and braking (m/s2) and of yaw acceleration (rad/s2).
         dt: control period, seconds.
     """
     yaw_step = robot.max_yaw_acceleration_rps2 * dt

@@ -42,7 +42,7 @@ def _silence() -> Iterator[None]:
             os.dup2(nothing.fileno(), 2)
         yield
     finally:
-        ctypes.CDLL(None).fflush(None)  # writes the buffer of the C library while the redirection is active
+        ctypes.CDLL(None).fflush(None)  # flushes the buffer of the C library while output is redirected
         for descriptor, copy in enumerate(kept, 1):
             os.dup2(copy, descriptor)
             os.close(copy)
@@ -182,7 +182,7 @@ class BulletClient(Closing):
         )
 
     def set_collision_group(self, body: int, link: int, group: int, meets: int) -> None:
-        """Assigns a link to a collision group; two links collide if each one's `meets` contains the other's group."""
+        """Assigns a link to a collision group; two links collide if the `meets` of each has the other's group."""
         _p.setCollisionFilterGroupMask(body, link, group, meets, physicsClientId=self._id)
 
     def drive_joints(self, body: int, joints: Sequence[int], speeds_rps: Sequence[float], torque_nm: float) -> None:

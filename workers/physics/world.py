@@ -73,7 +73,7 @@ class World(Closing):
         """Builds the world with the robot at the scene's origin.
 
         Args:
-            scene: compiled scene; gives the height of the floor.
+            scene: compiled scene; only the height of its floor is used.
             collider: `ColliderMesh.from_scene(scene)`, which the caller reuses for all worlds of the scene.
             robot: dimensions, motor and solver settings.
             control_hz: control frequency, steps per second.

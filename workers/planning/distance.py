@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-import scipy  # loads a submodule at its first use: commands that only read need none
+import scipy  # imports a submodule at its first use; many commands need none
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.config import TaskConfig
@@ -86,7 +86,7 @@ class FloorGraph:
 
 
 def _edges_ahead(numbers: NDArray[np.int32], weights: Floats, resolution_m: float) -> scipy.sparse.csr_array:
-    """Returns the lengths of the edges from each node to its neighbours in half of the directions, metres."""
+    """Returns the lengths of the edges from each node to its neighbours in the directions `_NEIGHBOURS`, metres."""
     ends: list[tuple[NDArray[np.int32], NDArray[np.int32], Floats]] = []
     for row, column in _NEIGHBOURS:
         here, there = _shifted(numbers, row, column)
@@ -101,7 +101,7 @@ def _edges_ahead(numbers: NDArray[np.int32], weights: Floats, resolution_m: floa
 def _both_ways(ahead: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
     """Returns a graph with every edge and its reverse; in each row the edges of `ahead` are first.
 
-    Of equal paths the search keeps the first one, so the order of the edges decides between them.
+    Of several shortest paths, the search keeps the first one that it finds, which depends on the order of the edges.
     """
     back = ahead.T.tocsr()
     lengths, stops = np.empty(2 * ahead.nnz), np.empty(2 * ahead.nnz, np.int32)

@@ -20,7 +20,8 @@ from workers.geometry.slew import Twist
 from workers.planning.lattice import Waypoint
 
 _ALIGNED_RAD, _LOST_RAD = 0.10, 0.9
-"""Heading errors, radians: a turn on the spot ends below the first; driving stops for a turn above the second."""
+"""Heading errors, radians. A turn on the spot ends when the error is below the first value. A driving robot turns on
+the spot when the error is above the second value."""
 _LEG_END_M = 0.04
 """Distance to the end of a leg at which the next leg starts, metres."""
 _SLOWEST_MPS = 0.15
@@ -70,7 +71,7 @@ class Leg:
     def nearest(self, x: float, y: float, from_m: float) -> float:
         """Returns the length along the leg of the point nearest to (x, y), at least `from_m`, metres."""
         to_m = min(from_m + _REACH_M, self.length_m)
-        candidates = _STEPS * ((to_m - from_m) / _STEPS[-1]) + from_m  # `numpy.linspace`, at a third of the cost
+        candidates = _STEPS * ((to_m - from_m) / _STEPS[-1]) + from_m  # as `numpy.linspace`, in a third of its time
         candidates[-1] = to_m
         px, py = (np.interp(candidates, self.along, column) for column in self._columns)
         return float(candidates[((px - x) ** 2 + (py - y) ** 2).argmin()])

@@ -131,7 +131,7 @@ def _search(
     max_expansions: int,
     limits_m: Iterable[float],
 ) -> tuple[Waypoint, ...] | None:
-    """Searches with distances to the ends up to each limit in turn, and returns the first path that is found.
+    """Searches with each limit of the distances to the ends in turn, and returns the first path that is found.
 
     The result equals that of a search with all distances, because poses beyond a limit are expanded after all others.
     """

@@ -194,7 +194,7 @@ class PartialRenderer(Protocol):
 
 
 def as_partial(renderer: Renderer) -> PartialRenderer | None:
-    """Returns a renderer that renders parts of the image, or `None` if it does not.
+    """Returns the renderer if it can render parts of the image, else `None`.
 
     Looks for one method, because `isinstance` with a protocol takes 20 us.
     """

@@ -59,7 +59,7 @@ def open_apart(
     timer: StageTimer = no_stage_timer,
     kept_scenes: int = KEPT_SCENES,
 ) -> ProcessRenderer:
-    """Opens a renderer in a separate process; arguments and errors as those of `open_renderer`."""
+    """Opens a renderer in a separate process; for arguments and errors see `open_renderer`."""
     _require_kind(kind)
     from workers.render.process import ProcessRenderer
 

@@ -69,7 +69,7 @@ def _spans(scene: CompiledScene, parts: NDArray[np.intp]) -> tuple[list[int], li
 
 
 def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns (N, 7) rows that, times `PartBounds.facts`, give the height of each box's highest corner above a plane.
+    """Returns (N, 7) rows; times `PartBounds.facts` they are the height of each box's highest corner above a plane.
 
     Args:
         normals: (N, 3) normals n of the planes n x + offset = 0, of any length.

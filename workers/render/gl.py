@@ -50,7 +50,7 @@ class _View(NamedTuple):
     clip: NDArray[np.float64]
     """(4, 4) matrix from world to OpenGL clip space, for column vectors."""
     matrix: bytes
-    """Matrix of the shader programs."""
+    """Bytes of the matrix that the shader programs use: `clip` for a `GlTarget`."""
     drawn: DrawOrder
 
 
@@ -86,7 +86,7 @@ class GlRenderer(Closing):
             self._textures = TextureStore(self._context)
             self._targets = {(size, size): GlTarget(self._context, size, size)}
             self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-            self._context.front_face = "cw"  # because `onto_target` mirrors the image
+            self._context.front_face = "cw"  # clockwise, because `onto_target` mirrors the image
 
     def close(self) -> None:
         """Frees the context and its resources; further calls have no effect."""
@@ -101,7 +101,8 @@ class GlRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; the most recently used scenes stay on the device."""
-        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+        # the cache keeps the lambda and thus the scene, so that no other scene gets its id
+        self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
         """Selects a scene by a key and the camera; see `Renderer`."""
@@ -116,7 +117,7 @@ class GlRenderer(Closing):
         self._require_own_process()
         with self._context:
             self._shelf.make_room()
-        if not self._shelf.keys:  # the selected scene was used last, so it is freed only if all are
+        if not self._shelf.keys:  # the selected scene is the last to be freed
             self._scene = None
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
@@ -275,7 +276,7 @@ def _look(scene: GpuScene, image: Perspective, optical: OpticalPose) -> _View:
 
 
 def _matrix(image: Perspective, optical: OpticalPose) -> tuple[NDArray[np.float64], bytes]:
-    """Returns the matrix from world to OpenGL clip space, and that of the shader programs."""
+    """Returns the matrix from world to OpenGL clip space, and the bytes of the shader programs' matrix."""
     clip = product(image.matrix(), view_matrix(optical))
     return clip, onto_target(clip, image.near_m).T.astype(np.float32).tobytes()
 

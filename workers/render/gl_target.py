@@ -90,7 +90,10 @@ class GlTarget:
         self._images.viewport = _guarded(face.top, view.width, view.height)
 
     def read_colour(self, channels: int = 3) -> NDArray[np.uint8]:
-        """Returns (height, width, channels) colour, undefined without a surface; `read_depth_and_ids` makes it 0."""
+        """Returns (height, width, channels) the colour, which is undefined in pixels without a surface.
+
+        `read_depth_and_ids` sets these pixels to 0 if the array is passed to it.
+        """
         width, height = self._shape
         rgb = np.empty((height, width, channels), np.uint8)
         self._images.read_into(rgb, components=channels, attachment=0)
@@ -117,7 +120,7 @@ class GlTarget:
 
 
 def _guarded(top: int, width: int, height: int) -> tuple[int, int, int, int]:
-    """Returns the viewport whose centre is an image of that size at the left edge, see `_GUARD`."""
+    """Returns the viewport with an image of that size, at the left edge of the target, in its centre; see `_GUARD`."""
     beside = _GUARD // 2
     return -width * beside, top - height * beside, width * _GUARD, height * _GUARD
 

@@ -87,7 +87,7 @@ class TextureStore:
     ) -> moderngl.TextureArray:
         """Returns a new array with the layers, copied from other arrays as far as possible."""
         height, width, _ = layers[0].shape
-        array = self._context.texture_array((width, height, 1), 3)  # `allocate` gives it storage for all levels
+        array = self._context.texture_array((width, height, 1), 3)  # `allocate` reserves memory for all mipmap levels
         levels = max(width, height).bit_length()
         gl = self._functions
         array.use(0)

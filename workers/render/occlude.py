@@ -76,7 +76,7 @@ class Occluders:
         return cls(found.corners[useful], found.normals[useful], found.areas[useful])
 
     def _have_parts_behind(self, bounds: PartBounds) -> NDArray[np.bool_]:
-        parts = np.isfinite(bounds.half).all(axis=1)  # parts without vertices are infinite
+        parts = np.isfinite(bounds.half).all(axis=1)  # parts without vertices have infinite extents
         highest = self.normals @ bounds.centre[parts].T + np.abs(self.normals) @ bounds.half[parts].T
         return np.asarray(highest.min(axis=1, initial=np.inf) < self._heights - _MARGIN_M)
 
@@ -89,17 +89,17 @@ class Occluders:
             bounds: bounding boxes of all parts.
             parts: indices of the parts to test.
             optical: pose of the camera.
-            view: gives near plane and field of view.
+            view: image of the camera, with near plane and field of view.
         """
         planes, offsets = self._shadows(optical, view)
-        high = reach_of_planes(-planes, -offsets) @ bounds.facts[:, parts]  # height above the inverted planes
+        high = reach_of_planes(-planes, -offsets) @ bounds.facts[:, parts]  # positive on the outer side of a plane
         within = high.reshape(5, len(planes) // 5, len(parts)).max(axis=0) < -_MARGIN_M
         return np.asarray(within.any(axis=0))
 
     def _shadows(self, optical: OpticalPose, view: Perspective) -> tuple[F64, F64]:
-        """Returns the planes of the shadows: (5 R, 3) normals that point inside and (5 R,) offsets, first the first
-        planes of all R rectangles, then the second planes, and so on.
+        """Returns the planes of the shadows of R rectangles: (5 R, 3) normals that point inside, and (5 R,) offsets.
 
+        The first R planes are the first plane of each shadow, the next R planes the second, and so on.
         A shadow is the space behind the rectangle and between the four planes through the eye and its edges. The plane
         through the eye e and an edge from p to q has the normal (q - e) x (p - e) = q x p + e x (q - p).
         """

@@ -1,4 +1,4 @@
-"""Caller's side of the rendering process: starts it, sends requests, reports its death, ends it.
+"""Caller's side of the rendering process: starts and ends the process, sends requests, and detects when it dies.
 
 Does not manage scenes; the renderer does.
 """
@@ -188,7 +188,7 @@ def _environment(kept_scenes: int) -> dict[str, str]:
 
 
 def _end(process: subprocess.Popen[bytes], held: contextlib.ExitStack) -> None:
-    """Closes the connection, upon which the process exits, and kills it if it does not."""
+    """Closes the connection, so that the process exits; kills a process that does not exit."""
     held.close()
     try:
         process.wait(_REAP_S)

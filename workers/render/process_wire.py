@@ -108,15 +108,15 @@ class FrameMemory:
             self._normals(height, width)[:] = seen.normals
 
     def take_frame(self, size: int) -> RenderedFrame:
-        """Returns a copy of the stored frame, which has that size."""
+        """Returns a copy of the stored frame; `size` is its size."""
         return RenderedFrame(self._rgb(size, size).copy(), self._depth(size, size).copy(), self._ids(size, size).copy())
 
     def take_depth_and_ids(self, size: int) -> DepthAndIds:
-        """Returns a copy of depth and ids of the stored frame, which has that size."""
+        """Returns a copy of depth and ids of the stored frame; `size` is its size."""
         return DepthAndIds(self._depth(size, size).copy(), self._ids(size, size).copy())
 
     def take_image(self, height: int, width: int, normals: bool) -> CameraImage:
-        """Returns a copy of the stored camera image, which has that size, with or without normals."""
+        """Returns a copy of the stored camera image; the arguments are its size and whether it has normals."""
         size = height, width
         rgb, depth, ids = self._rgb(*size).copy(), self._depth(*size).copy(), self._ids(*size).copy()
         return CameraImage(rgb, depth, ids, self._normals(*size).copy() if normals else None)

@@ -63,7 +63,8 @@ class TinyRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
-        self.load_by_key(id(scene), lambda: scene, camera)  # the function holds the scene, so that its id stays unique
+        # the cache keeps the lambda and thus the scene, so that no other scene gets its id
+        self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
         """Selects a scene by a key and the camera; see `Renderer`."""
@@ -74,7 +75,7 @@ class TinyRenderer(Closing):
     def make_room(self) -> None:
         """Frees prepared scenes in advance, so that the next scene fits; see `Renderer`."""
         self._shelf.make_room()
-        if not self._shelf.keys:  # the selected scene was used last, so it is freed only if all are
+        if not self._shelf.keys:  # the selected scene is the last to be freed
             self._scene = None
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:

@@ -186,15 +186,20 @@ def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Boo
 
 
 def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
-    """Returns (H, W) values interpolated between random numbers. They are whole numbers below 2^24, which float32 adds
-    exactly."""
+    """Returns (H, W) values interpolated between random numbers.
+
+    The values are whole numbers below 2^24, so that sums in float32 are exact.
+    """
     height, width = shape
     coarse = key.bits(Effect.HOLES, (-(-height // _HOLE_BLOCKS) + 1, -(-width // _HOLE_BLOCKS) + 1), step) >> 8
     return _interpolated(_interpolated(coarse.astype(np.float32), height).T, width).T
 
 
 def _interpolated(values: Singles, side: int) -> Singles:
-    """Returns rows (side, N), interpolated between rows (M, N) that are `_HOLE_BLOCKS` apart, times `_HOLE_BLOCKS`."""
+    """Returns rows (side, N), interpolated between rows (M, N) at a distance of `_HOLE_BLOCKS` rows.
+
+    The values are multiplied by `_HOLE_BLOCKS`, so that they stay whole numbers.
+    """
     share = np.arange(_HOLE_BLOCKS, dtype=np.float32)[:, None]
     between = values[:-1, None] * (_HOLE_BLOCKS - share) + values[1:, None] * share
     return between.reshape(-1, values.shape[1])[:side]

@@ -104,5 +104,5 @@ def imu_errors(noise: ImuNoise, count: int, rate_hz: float, key: NoiseKey) -> Fl
 
 
 def _per_axis(gyro: float, accelerometer: float) -> Floats:
-    """Returns (6,) the first value for three axes, then the second."""
+    """Returns (6,) values: `gyro` for three axes, then `accelerometer` for three axes."""
     return np.repeat((gyro, accelerometer), 3)

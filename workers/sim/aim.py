@@ -113,8 +113,11 @@ def _exchangeable_aim(
 def ends_in_view(
     job: Job, target: Target, place: LoadedScene, renderer: Renderer, planned: tuple[Waypoint, ...]
 ) -> bool:
-    """Returns whether the target is in view at the end of a planned path, if the job requires this; without a path,
-    this is not known before the drive."""
+    """Returns whether the target is in view at the end of a planned path.
+
+    Also returns `True` if the job does not require this. Without a path, only the drive can show it, so the result is
+    `True` too.
+    """
     if not (planned and job.demonstration.target_in_view):
         return True
     goal = Goal.of(target, job.task)

@@ -1,4 +1,4 @@
-"""Renders the frames of a driven trajectory into a bundle: all of a frames recording, samples of a states recording.
+"""Renders frames of a driven trajectory into a bundle: all for a frames recording, samples for a states recording.
 
 Does not drive. A frame is a function of scene, camera and pose, so it may be rendered at any time after its step.
 """
@@ -30,7 +30,7 @@ def add_frames(
     Args:
         writer: bundle without frames.
         renderer: renderer with the scene loaded.
-        job: gives the smallest mask of a visible target.
+        job: job, with the smallest mask of a visible target.
         poses: (T, 7) poses of base_link: x, y, z, qw, qx, qy, qz.
         instance_id: id of the target.
         on_frame: called after each frame with the number of frames.
@@ -50,7 +50,7 @@ def add_sampled_digests(writer: BundleWriter, renderer: Renderer, job: Job, pose
     Args:
         writer: bundle without frames.
         renderer: renderer with the scene loaded.
-        job: gives the sampled steps.
+        job: job, with the sampled steps.
         poses: (T, 7) poses of base_link: x, y, z, qw, qx, qy, qz.
     """
     for t in job.sampled_steps(len(poses)):

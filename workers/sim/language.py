@@ -23,7 +23,7 @@ def write_instruction(job: Job, place: LoadedScene, start: Pose) -> Instruction 
     """
     if job.language is None:
         return None
-    from schemas.language.compose import composer_of  # not at the start of workers without language: it needs scipy
+    from schemas.language.compose import composer_of  # imported here, because it imports scipy
     from schemas.language.graph.view import look
 
     scene = place.language

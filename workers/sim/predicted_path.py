@@ -31,7 +31,7 @@ def predict_path(
     Args:
         start: x, y in metres and yaw in radians of base_link, at rest.
         goal: goal of the episode.
-        job: gives gains, limits and the step limit.
+        job: job, with gains, slew limits and the step limit.
         estimate: estimate of the mask of the target, for steering by its mask; `None` for steering by the centroid.
     """
     gains, robot = job.gains, job.robot

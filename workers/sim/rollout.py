@@ -34,9 +34,9 @@ class Drive:
     contact_steps: int
     """Number of steps with a contact other than the floor."""
     steps_visible: int | None
-    """Number of steps in which the target was visible to the expert; `None` if the expert does not look."""
+    """Number of steps in which the target was visible to the expert; `None` if the expert uses no images."""
     target_in_view: bool
-    """Whether the last frame shows the target; false after a failure of an expert that does not look."""
+    """Whether the last frame shows the target; false after a failure of an expert that uses no images."""
     end: str
     """Description of the end with measured values."""
 

@@ -56,7 +56,7 @@ def add_measurements(
     Args:
         writer: bundle with all frames.
         scene: scene of the job, loaded in the renderer.
-        job: gives rig, control rate and seed.
+        job: job, with rig, control rate and seed.
         arrays: arrays of the episode.
         on_measurement: called after each measurement.
         change: change of the cameras.

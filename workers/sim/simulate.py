@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 
-# read when numpy and Mesa are imported: one process, one core
+# numpy and Mesa read these variables when they are loaded; each process uses one core
 os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

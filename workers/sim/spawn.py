@@ -33,11 +33,11 @@ _BEARINGS = 384
 _DISTANCE_STREAM = 1
 """Key of the random stream of the distances of an episode with blind draws."""
 _PREDICTIONS = 32
-"""Largest number of starts whose view is tested, in the near and mid tiers at one distance. For an expert that drives
-straight, also the largest number whose path is predicted; if none has `_PREDICTION_MARGIN_M`, the start with the most
-free space is selected."""
+"""Largest number of starts whose view is tested; in the near and mid tiers, the number for each distance. For an expert
+that drives straight, also the largest number of starts whose path is predicted; if none of them has
+`_PREDICTION_MARGIN_M`, the start with the most free space is selected."""
 _REJECTIONS = 256
-"""A draw ends after this number of valid starts whose view was rejected."""
+"""Number of valid starts with a rejected view after which a draw ends."""
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
@@ -56,20 +56,21 @@ def draw_poses(
 ) -> Iterator[Pose]:
     """Yields start poses that are free on the grid, at most `job.spawn.physics_draws` of them.
 
-    Near and mid tier: draws a uniform distance, then bearings at that distance until one is free, with a heading
-    towards the target plus noise; draws another distance only if none of `_BEARINGS` is free. So obstacles reject
-    bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point at a
-    distance along the floor within `job.spawn.far_floor_m`, and a uniform heading. For experts that drive straight,
-    `job.spawn.screening` sets further conditions. The planner starts at any such pose from which, in the near and mid
-    tiers, it sees its target or, in the far tier, its path is not too long.
+    In the near and mid tiers, the function draws a uniform distance, and then bearings at that distance until a pose
+    is free; the heading is towards the target plus noise. If none of `_BEARINGS` bearings is free, it draws another
+    distance. So obstacles reject bearings, not distances, and the distances have the distribution of the paper. In the
+    far tier, the function draws a uniform heading and a surveyed floor point whose distance along the floor is within
+    `job.spawn.far_floor_m`. For experts that drive straight, `job.spawn.screening` sets more conditions. The planner
+    can start at any of these poses from which it sees its target (near and mid tiers) or its path is not too long (far
+    tier).
 
     Args:
-        job: gives tier, expert and spawn settings.
+        job: job, with tier, expert and spawn settings.
         target: target to approach.
         place: scene with its grid.
         rng: random generator of the attempt; consumed in a fixed order.
-        accepts: further condition on a start, evaluated last. The sequence of candidates does not depend on it; the
-            draw ends after it has rejected `_REJECTIONS` of them.
+        accepts: further condition on a start, evaluated last. The sequence of candidates does not depend on it. The
+            draw ends after it has rejected `_REJECTIONS` candidates.
     """
     z = place.scene.info.floor_height_m
     for _ in range(job.spawn.physics_draws):

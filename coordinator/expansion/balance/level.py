@@ -44,7 +44,7 @@ def level(shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], 
     """Levels the totals by exchanges of categories within places, in place.
 
     The sum of squared totals is minimal when no chain of exchanges leads from a category to one with at least two
-    episodes less (Harvey, Ladner, Lovasz, Tamir: Semi-matchings for bipartite graphs and load balancing, 2006).
+    episodes fewer (Harvey, Ladner, Lovasz, Tamir: Semi-matchings for bipartite graphs and load balancing, 2006).
 
     Args:
         shares: places in which categories may be exchanged.
@@ -57,7 +57,7 @@ def level(shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], 
 
 
 def _even(count: int, options: Sequence[str], totals: Counter[str]) -> Counter[str]:
-    """Returns an even distribution; the rest goes to the categories with the lowest totals."""
+    """Returns an even distribution; the remainder goes to the categories with the lowest totals."""
     each, rest = divmod(count, len(options))
     ranked = sorted(options, key=lambda name: (totals[name], name))
     return Counter({name: each + (rank < rest) for rank, name in enumerate(ranked)})

@@ -19,14 +19,14 @@ _PIECE_BYTES = 1 << 20
 
 
 def write_closed_digest(url: str) -> None:
-    """Records the digest of a closed ledger. Writes nothing while it has a log, which the digest does not cover."""
+    """Records the digest of a closed ledger, unless it has a write-ahead log, which the digest does not cover."""
     with contextlib.suppress(OSError):  # without the digest, the next start audits the ledger
         for file in _whole_file(url):
             file.with_suffix(_SUFFIX).write_text(_digest(file))
 
 
 def is_unchanged(url: str) -> bool:
-    """Returns whether a ledger has the bytes with which this version of the software has closed it."""
+    """Returns whether a ledger is unchanged since this version of the software closed it."""
     try:
         return any(file.with_suffix(_SUFFIX).read_text() == _digest(file) for file in _whole_file(url))
     except (OSError, UnicodeDecodeError):
@@ -34,7 +34,7 @@ def is_unchanged(url: str) -> bool:
 
 
 def _whole_file(url: str) -> Iterator[Path]:
-    """Yields the database file, if it exists and has no log with content."""
+    """Yields the database file, if it exists and its write-ahead log is missing or empty."""
     files = sqlite_files(url)
     if files and not any(path.name.endswith("-wal") and path.stat().st_size for path in files):
         yield files[-1]

@@ -32,7 +32,8 @@ _LOCK_HELD = text("""
         AND database = (SELECT oid FROM pg_database WHERE datname = current_database())""")
 _OTHERS = 0o007
 _LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
-"""Longest wait for the lock and pause between attempts, seconds. A server detects late that a client was killed."""
+"""Longest wait for the lock and pause between attempts, seconds. The wait is needed because a server detects late that
+a client was killed."""
 _KEPT_READERS = 8
 """Number of SQLite files whose reading engines are kept."""
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
@@ -92,7 +93,7 @@ def open_reader(url: str) -> Engine:
 
 @functools.lru_cache(maxsize=_KEPT_READERS)
 def _reader_of(file: Path) -> Engine:
-    """Returns the engine of a file; kept for its compiled statements, which cost more than a connection."""
+    """Returns the engine of a file; cached, because compiling its statements takes longer than connecting."""
     return create_engine("sqlite://", creator=lambda: _connect_readonly(file), poolclass=NullPool)
 
 
@@ -222,8 +223,8 @@ def _begin_immediate(connection: Connection) -> None:
 
 def _connect_readonly(file: Path) -> sqlite3.Connection:
     log = file.with_name(file.name + "-wal")
-    # a running writer has a log and a killed one leaves it, so without a log there is no writer. SQLite would then
-    # create a log for reading, leave it behind, and fail on a read-only disk
+    # a running writer has a log, and a killed writer leaves its log; so without a log no process writes. Unless the
+    # file is opened as immutable, SQLite would then create a log, leave it behind, and fail on a read-only disk
     if not log.exists():
         return _open_readonly(file, "mode=ro&immutable=1")
     try:

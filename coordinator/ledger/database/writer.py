@@ -190,7 +190,7 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
     try:
         result = request.work(connection)
     except OperationalError:
-        raise  # a full disk or a lost server has ended the whole transaction with all savepoints
+        raise  # a full disk or a lost server ends the transaction with all its savepoints
     except SQLAlchemyError as error:
         savepoint.rollback()
         _log_error("request_failed", error)

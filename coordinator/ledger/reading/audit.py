@@ -234,7 +234,7 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
             yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)
         if row.attempt > expected:
-            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, its recorded attempts give {expected}"
+            yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, but its attempts give {expected}"
         failures = row.task_failures
         if row.misses > failures or (not row.retries and row.misses != failures % plan.budget.attempts_per_draw):
             yield f"is damaged: episode {row.idx} counts {row.misses} task failures, but {failures} are recorded"

@@ -192,5 +192,5 @@ def _history(connection: Connection) -> tuple[Interval, ...]:
 
 
 def _whole(value: ColumnElement[Any], connection: Connection) -> ColumnElement[Any]:
-    """Returns a number from 0 without its fraction; a cast rounds in PostgreSQL and truncates in SQLite."""
+    """Rounds a non-negative number down; a cast would round to the nearest integer in PostgreSQL."""
     return cast(value, Integer) if connection.dialect.name == "sqlite" else func.floor(value)

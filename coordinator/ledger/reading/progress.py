@@ -91,7 +91,7 @@ def _sum_of(cells: Subquery, *columns: ColumnElement[Any]) -> Select[Any]:
 def _count_by(
     connection: Connection, cells: Subquery, column: str, group_of: Callable[[str], str] = str
 ) -> dict[str, dict[str, int]]:
-    """Returns the job counts by group and state, with all states."""
+    """Returns the job counts by group and state, including states without jobs."""
     groups: dict[str, Counter[str]] = {}
     query = _sum_of(cells, cells.c[column], cells.c.state).where(cells.c.superseded.is_(False), cells.c.jobs > 0)
     for name, state, count in connection.execute(query):

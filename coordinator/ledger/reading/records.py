@@ -230,7 +230,7 @@ def _job_record(row: Row[Any]) -> JobRecord:
 
 
 def _require_text(row: Row[Any]) -> None:
-    """Refuses bytes, which SQLite returns from any column of a damaged ledger."""
+    """Raises `ValueError` for bytes, which SQLite can return from any column of a damaged ledger."""
     wrong = [name for name, value in row._mapping.items() if isinstance(value, bytes)]
     if wrong:
         raise ValueError(f"bytes in the columns {', '.join(wrong)}")

@@ -1,4 +1,4 @@
-"""Assignment of bundles to pullers, with gateways that claim too many routers or the routers of others."""
+"""Assignment of bundles to pullers, with gateways that claim too many routers or the routers of other gateways."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_number_of_gateways_is_bounded_and_an_honest_one_is_served() -> None
             timed_dispatch.take("honest", "ffffff")
     timed_dispatch.offer(1, "ffffff")
     assert timed_dispatch.take("honest", "ffffff") == [1]
-    timed_dispatch.offer(2, "0")  # the first hostile gateway
+    timed_dispatch.offer(2, "0")  # this router was assigned to the first hostile gateway
     assert timed_dispatch.here == [2]
 
 

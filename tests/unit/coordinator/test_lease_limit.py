@@ -1,4 +1,4 @@
-"""Leases that are too old: their jobs return to the queue, and the failures count against the hosts."""
+"""The limit of the age of a lease: the job returns to the queue, and the failure counts against the host."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STATES = {False: "leased", True: "submitted"}
 
 
 class Held:
-    """A ledger whose workers send heartbeats without end, and the lease limit of its coordinator."""
+    """A ledger whose workers never stop sending heartbeats, and the lease limit of its coordinator."""
 
     def __init__(self, timed_ledger: TimedLedger, limit: LeaseLimit) -> None:
         self.timed_ledger, self.limit = timed_ledger, limit

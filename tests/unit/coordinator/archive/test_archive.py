@@ -1,4 +1,4 @@
-"""The archive on a directory: links, part files and full disks. The contract suite tests what archives share."""
+"""The archive in a directory: links, part files, full disks. The contract suite tests what all archives share."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_only_the_canonical_name_is_an_episode(name: str, index: int | None) -> 
 
 
 def test_a_full_disk_is_reported_and_leaves_no_partial_file(tmp_path: Path) -> None:
-    """A file size limit replaces a full disk: both raise an OSError during a write."""
+    """A file size limit simulates a full disk: both raise an OSError during a write."""
     text = """
 import resource, signal, sys
 from pathlib import Path

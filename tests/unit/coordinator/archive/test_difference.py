@@ -1,4 +1,4 @@
-"""Files and records compared: every kind of difference is found, and no other."""
+"""Comparison of the files of an archive with the records of the ledger."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lock of the coordinator, which is checked without blocking one, and the part files."""
+"""The lock of a directory, which can be checked without blocking a coordinator, and the part files."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ _LARGE = 8 * MAX_PACKED_BYTES
 
 
 def _cached_share(path: Path) -> float:
-    """Returns the share of the pages of a file that are in the page cache; a read would start to read ahead."""
+    """Returns the share of the pages of a file in the page cache; reads no page, because that would load more pages."""
     with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as mapped:
         found = (ctypes.c_ubyte * (len(mapped) // mmap.PAGESIZE))()
         first = ctypes.c_char.from_buffer(mapped)

@@ -1,4 +1,4 @@
-"""The far tier of targets follows the least distance of the plan, and not only the default that packages record."""
+"""Which targets have far starts depends on the plan's minimum far distance; packages record the default only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.builders.scene import Box, build_scene, room_walls
 
 @pytest.fixture(scope="module")
 def entry(tmp_path_factory: pytest.TempPathFactory) -> SceneEntry:
-    """A room of 4.6 x 3 m with a crate near one end. No floor is 5 m away, so its package records no far tier."""
+    """A room of 4.6 x 3 m with a crate near one end. Its package has no far tier: no floor is 5 m from the crate."""
     crate = Box((-2.0, -0.2, 0.0), (-1.6, 0.2, 0.6), category="crate")
     scene = build_scene((*room_walls((-2.3, -1.5), (2.3, 1.5)), crate))
     names = [name for name in Target.model_fields if name.endswith("_tiers")]
@@ -64,7 +64,7 @@ def test_a_small_room_has_far_starts_at_the_distance_that_the_plan_permits(
 
 
 def test_the_default_distance_reads_no_package() -> None:
-    """Plans with many scenes expand from the metadata alone."""
+    """A plan with many scenes would otherwise read the package of every scene."""
     absent = far_plan(5.0, Screening.NONE, ExpertName.PROPORTIONAL, SuccessMeasure.CENTROID)
     crate = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category="crate")
     info = build_scene((*room_walls((-9.0, -9.0), (9.0, 9.0)), crate)).info

@@ -1,4 +1,4 @@
-"""Instances of training and evaluation: separate where a scene has enough, otherwise shared and reported."""
+"""Training and evaluation use different instances where a scene has enough; shared instances are reported."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def named(jobs: list[PlannedJob], *splits: Split) -> set[str]:
 
 
 def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJob]:
-    """Returns every draw of every episode, as if all but the last failed."""
+    """Returns the first draw of every episode and `draws` redraws, as if every draw but the last had failed."""
     jobs = list(expand(plan, catalog))
     found = list(jobs)
     for _ in range(draws):

@@ -1,4 +1,4 @@
-"""The episodes of a family are dealt to its layouts from the plan only, with exact quotas and disjoint layouts."""
+"""Assignment of a family's episodes to layouts: uses the plan only, has exact quotas, separates unseen layouts."""
 
 from __future__ import annotations
 
@@ -153,8 +153,8 @@ def test_a_numbered_scene_is_one_layout_of_its_family_with_that_seed() -> None:
         ({"name": "home", "layouts": 4, "unseen_layouts": 4}, "need 1 to 28 layouts, not 0"),
         ({"name": "home", "layouts": 30, "unseen_layouts": 13}, "need 1 to 12 layouts, not 13"),
         ({"name": "home"}, "the splits test_unseen_scene* need `layouts`"),
-        ({"name": "home_00017"}, "one layout has either the splits test_unseen_scene* or others"),
-        ({"name": "home", "layouts": 3, "unseen_layouts": 1, "splits": {"train_id": 1}}, "whose shares are 0"),
+        ({"name": "home_00017"}, "one layout cannot have the splits test_unseen_scene* and others"),
+        ({"name": "home", "layouts": 3, "unseen_layouts": 1, "splits": {"train_id": 1}}, "`unseen_layouts` has no use"),
     ],
 )
 def test_layouts_that_contradict_the_plan_are_refused(scene: dict[str, object], message: str) -> None:

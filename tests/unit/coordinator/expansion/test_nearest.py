@@ -1,4 +1,4 @@
-"""The nearest feasible plan: every cell has a target, changes are minimal, and TOML preserves it."""
+"""The nearest feasible plan: every cell has a target, changes are minimal, and TOML preserves the plan."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NEAR_AND_MID = (Tier.NEAR, Tier.MID)
 
 
 def hospital(seen: Sequence[Tier] = tuple(Tier), held_out: Sequence[Tier] | None = tuple(Tier)) -> Catalog:
-    """A hospital whose targets can be reached from these tiers; without held-out categories for `None`."""
+    """A hospital whose targets have starts in these tiers; `held_out=None` omits the held-out categories."""
     names = {"chair": seen, "trash_can": seen}
     if held_out is not None:
         names |= {"fire_extinguisher": held_out, "whiteboard": held_out}

@@ -1,4 +1,4 @@
-"""Plans with a language block: what a plan may ask, which targets are drawn, and the conditions on the start."""
+"""Plans with a language block: permitted requests, drawn targets, and the conditions on the start."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_plan_without_a_language_block_has_its_former_digest():
 
 def test_only_categories_with_enough_objects_are_drawn_and_the_error_lists_them():
     (line,) = find_impossible(_plan(("chair", "plant"), same_category=1), {"office": ENTRY})
-    assert "plant has fewer; categories with enough there: chair" in line
+    assert "plant has fewer; categories with enough objects: chair" in line
     jobs = expand(_plan(same_category=2), {"office": ENTRY})
     assert {job.episode.template_id for job in jobs} == {FROM_START}
 
@@ -111,6 +111,6 @@ def test_a_block_that_no_target_can_satisfy_names_what_is_possible():
     probes = [(number_at(-3.0, 1.6), view) for view in views(2)]
     features = dict.fromkeys(LanguageSpec().families, 0.0) | {"support": 1.0}
     why = explain_impossible(two_rooms(), LanguageSpec(features=features), probes)
-    assert "possible there: " in why
+    assert "features possible in this scene: " in why
     assert "near" in why
     assert explain_impossible(two_rooms(), LanguageSpec(), probes) == ""

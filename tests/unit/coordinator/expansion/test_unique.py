@@ -1,4 +1,4 @@
-"""Instructions that fit one object: what expansion selects, which conditions the job carries, what a plan may ask."""
+"""Instructions that fit only one object: selected targets, conditions of the job, and requests that are refused."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_redraws_of_scene_unique_plans_stay_unique():
 
 
 def test_a_redraw_that_cannot_change_the_target_changes_the_words():
-    """Otherwise all draws of "the sofa" fail where only "the red sofa" can be shown alone."""
+    """With the words unchanged, every draw of "the sofa" could fail, although "the red sofa" has a valid start."""
     plan, catalog = _plan("view", seen=("plant",)), {"office": ENTRY}
     named = set()
     for planned in expand(plan, catalog)[:20]:
@@ -88,14 +88,14 @@ def test_a_category_without_a_unique_object_is_refused_with_what_is_unique():
     plan = _plan("scene", seen=("chair", "monitor", "plant"))
     (line,) = find_impossible(plan, {"office": ENTRY})
     assert 'instructions.unique is "scene", but no instruction fits only one monitor;' in line
-    assert "unique there: green plant, plant, red chair;" in line
+    assert "unique in the scene: green plant, plant, red chair;" in line
     assert line.endswith('set instructions.unique to "view", or list them in `ambiguous` of the scene')
 
 
 def test_a_scene_without_unique_objects_is_reported_and_removed_from_the_nearest_plan():
     plan = _plan("scene", seen=("monitor",))
     (line,) = find_impossible(plan, {"office": ENTRY})
-    assert "no instruction fits only one monitor; unique there: green plant" in line
+    assert "no instruction fits only one monitor; unique in the scene: green plant" in line
     assert find_nearest(plan, {"office": ENTRY}).plan is None
     mixed = find_nearest(_plan("scene", seen=("monitor", "plant")), {"office": ENTRY})
     assert mixed.plan is not None
@@ -106,7 +106,7 @@ def test_a_scene_without_unique_objects_is_reported_and_removed_from_the_nearest
 def test_colours_do_not_identify_where_the_plan_names_none():
     plan = _plan("scene").model_copy(update={"colors": "off"})
     (line,) = find_impossible(plan, {"office": ENTRY})
-    assert "no instruction fits only one chair; unique there: plant;" in line
+    assert "no instruction fits only one chair; unique in the scene: plant;" in line
 
 
 def test_categories_listed_as_ambiguous_are_exempt_from_uniqueness():

@@ -1,4 +1,4 @@
-"""The farm's reading agrees with the ledger: cells, running jobs, events and attempts over time."""
+"""What the web page of a run reads from the ledger: cells, running jobs, events and attempts over time."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from schemas.terms import FailReason
 from tests.builders.ledger import TTL_S, TimedLedger, room_plan
 
 ANY_GRANT = st.sampled_from([0, 0, 0, 1, 2, 3, 5, 8])
-"""Number of grants since the chosen one; 0, the newest, is the most probable."""
+"""Position of a grant, counted back from the newest grant (0), which is the most probable."""
 ONE_OR_TWO = st.integers(1, 2)
 REASON = st.sampled_from([FailReason.TIMEOUT, FailReason.SPAWN, FailReason.CRASH, FailReason.RELEASED])
 OTHER_SHA256 = "d" * 64
@@ -105,7 +105,7 @@ class Ledger(RuleBasedStateMachine):
 
     @rule(worker=st.integers(0, 2))
     def lose_to(self, worker: int) -> None:
-        """Every worker is frozen beyond its lease, and another one takes over."""
+        """All workers are frozen until their leases have expired; then one worker claims a job."""
         self.timed_ledger.tick(TTL_S + 0.1)
         self.timed_ledger.tick(40.0)
         self.claim(worker)
@@ -152,7 +152,7 @@ def _check_leases(rows: Sequence[Any]) -> None:
 
 
 def _check_draws(rows: Sequence[Any]) -> None:
-    """Every episode has one current draw, and attempts only rise from draw to draw."""
+    """Every episode has exactly one current draw, and a later draw never has a smaller attempt number."""
     assert set(Counter(row.idx for row in rows if not row.superseded).values()) == {1}
     for before, after in itertools.pairwise(rows):
         if before.idx == after.idx:
@@ -161,7 +161,7 @@ def _check_draws(rows: Sequence[Any]) -> None:
 
 
 def _check_outcomes(rows: Sequence[Any], owned: dict[int, int], settled: Sequence[Any]) -> None:
-    """An archived episode is recorded once; its attempt is the first success, and none follows it."""
+    """An archived episode is recorded once, with the attempt that succeeded; no attempt follows a success."""
     archived = {row.idx: row.attempt for row in rows if row.state == JobState.ARCHIVED}
     assert owned == archived
     assert {row.idx: row.attempt for row in settled if row.outcome == "success"} == archived

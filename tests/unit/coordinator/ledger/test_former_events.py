@@ -1,4 +1,4 @@
-"""Ledgers of formats 1 to 3 store task and worker failures under former names, which every reader understands."""
+"""Ledgers of formats 1 to 3 store task and worker failures under older event names, which every reader accepts."""
 
 from __future__ import annotations
 

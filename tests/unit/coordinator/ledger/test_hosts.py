@@ -58,7 +58,7 @@ class Counter:
         assert self.timed_ledger.archive(lease)
 
     def spoil(self, host: str, seconds: float, reason: FailReason = FailReason.INVALID) -> int:
-        """Lets a host fail every job for a time; returns the number of jobs."""
+        """Lets a host fail every job that it claims, for a number of seconds; returns the number of failed jobs."""
         end, spoilt = self.timed_ledger.now + timedelta(seconds=seconds), 0
         while self.timed_ledger.now < end:
             reply = self.claim(host)
@@ -201,7 +201,7 @@ def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
 
 
 def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counter):
-    """The host delivers every other episode, so that it is not barred."""
+    """The host delivers all other episodes, so that it is not barred."""
     counter.terms = replace(counter.terms, retry_after_s=1.0)
     started, tries = counter.timed_ledger.now, 0
     while not tries or counter.counts()["failed"] == 0:

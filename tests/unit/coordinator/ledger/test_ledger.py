@@ -40,7 +40,7 @@ PLAN = room_plan(3, attempts_per_draw=2, draws=2, crashes=2)
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def timed_ledger(request: pytest.FixtureRequest) -> Iterator[TimedLedger]:
-    """The same suite on every database."""
+    """A ledger on SQLite and on PostgreSQL; every test runs on both."""
     is_server = request.param == "postgresql"
     opened = TimedLedger(PLAN, request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://")
     yield opened

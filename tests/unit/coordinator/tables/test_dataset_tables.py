@@ -97,7 +97,7 @@ def test_card_has_a_readable_front_matter(tmp_path: Path) -> None:
         {"config_name": "attempts", "data_files": failed},
     ]
     assert "2 of 3 planned episodes so far" in text
-    assert "pypi.org" not in text  # the package is not on an index, so that a link would be broken
+    assert "pypi.org" not in text  # the package is not on PyPI, so a link would be broken
     assert "| office | 2 | 12.0 | 1.60 |" in text
     assert "| 3 | 67 % |" in text
     assert "| train_id | seen categories, training phrases | 2 | 2 |" in text

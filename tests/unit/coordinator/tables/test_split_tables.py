@@ -39,7 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def root(made: Path, tmp_path: Path) -> Path:
-    """A copy that the test may change."""
+    """A copy of the dataset that the test may change."""
     shutil.copytree(made, tmp_path / "data")
     return tmp_path / "data"
 
@@ -97,7 +97,7 @@ def test_a_thumbnail_is_made_once_even_when_rows_come_in(tmp_path: Path) -> None
     root = tmp_path / "data"
     old = read_pictures(root / TRAIN)
     for path in (root / "episodes").iterdir():
-        path.unlink()  # so that no thumbnail can be computed again
+        path.unlink()  # without its episode file, a thumbnail cannot be computed again
     table = pq.read_table(root / METADATA_FILE)
     renamed = table.set_column(3, "instruction", pa.array(["Go there."] * 3))
     pq.write_table(renamed, root / METADATA_FILE)

@@ -1,4 +1,4 @@
-"""The queue that serves owners in order of their consumed time."""
+"""The queue that next serves the owner that has consumed the least time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_the_least_served_owner_is_next() -> None:
     assert serve(queue, 5) == "a1"
     queue.put("b", "b1")
     queue.put("b", "b2")
-    assert serve(queue, 5) == "a2"  # b was not there before, and has no credit
+    assert serve(queue, 5) == "a2"  # b joined only now, and gets no credit for the time before
     assert [serve(queue, 0.1) for _ in range(3)] == ["b1", "b2", "a3"]
 
 

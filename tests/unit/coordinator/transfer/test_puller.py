@@ -168,7 +168,7 @@ def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None
 
 
 class SlowHosts(RecordingParts):
-    """Workers of several hosts; those with a name that starts with `slow` delay every chunk."""
+    """Workers of several hosts; a worker whose name starts with `slow` delays every chunk."""
 
     def __init__(self, pause_s: float) -> None:
         super().__init__()
@@ -260,7 +260,7 @@ def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_pat
         open_archive(tmp_path / "data") as archive,
         Pullers(archive, recorded, fetch, recorded, settings, recorded.done.set) as pullers,
     ):
-        for _ in range(600):  # as heartbeats do
+        for _ in range(600):  # heartbeats also offer the same bundle repeatedly
             pullers.offer(pull)
             if recorded.done.wait(0.05):
                 break

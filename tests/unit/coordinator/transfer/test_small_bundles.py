@@ -1,4 +1,4 @@
-"""Small bundles of one worker share a request, a validation and a commit; one that fails does not affect the others."""
+"""Small bundles of one worker share a request, a validation and a commit; a failing bundle affects only itself."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Site:
 
 
 def bring(site: Site, root: Path, pulls: Sequence[Pull]) -> list[int]:
-    """Offers bundles that wait together behind one of another host; returns the episodes of the archive."""
+    """Offers bundles that wait together behind a bundle of another host; returns the archived episodes."""
     settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
     with open_archive(root / "data") as archive:
         with archive.stage(STORED) as staged:

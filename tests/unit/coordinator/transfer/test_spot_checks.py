@@ -1,4 +1,4 @@
-"""Selection of the bundles that are validated completely, and dependence of the spot checks on the secret."""
+"""Spot checks: which bundles are validated completely, and that the selection depends on a secret."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def pull_of(index: int, host: str = "a", *, is_validated: bool = True) -> Pull:
 
 
 def scopes_of(pulls: list[Pull], share: float | None, secret: bytes = b"s") -> str:
-    """Returns the first letter of each scope: a for all, c for the claim."""
+    """Returns a letter for the scope of each validation: `a` for the whole bundle, `c` for the claim only."""
     recorder = Recorder()
     validation = SpotCheckedValidation(recorder, Meters(), share, secret)
     for pull in pulls:
@@ -90,7 +90,7 @@ def test_spot_checks_have_the_share_of_the_settings_and_depend_on_the_secret() -
     pulls = [pull_of(number) for number in range(1, 2001)]
     one, again, other = (scopes_of(pulls, 0.05, secret) for secret in (b"one", b"one", b"other"))
     assert one == again
-    assert 60 <= one.count("a") <= 140  # 100 of 2000, standard deviation 10
+    assert 60 <= one.count("a") <= 140  # expected: 100 of 2000, with a standard deviation of 10
     common = sum(x == y == "a" for x, y in zip(one[1:], other[1:], strict=True))
     assert common < one.count("a") / 2
     assert set(scopes_of(pulls[:50], 1.0)) == {"a"}

@@ -86,6 +86,6 @@ def test_a_rig_without_measurements_and_another_format_are_found() -> None:
     bundle = BundleReader(io.BytesIO(plain.write()))
     bundle.__dict__["meta"] = meta
     found = validate(bundle)
-    assert "the bundle lacks measurements; its job has the rig one" in found
-    assert f"format {FORMAT_WITHOUT_RIG}; bundles of its job have format 3" in found
-    assert "digests of the sensors [], its rig has ['scan']" in found
+    assert "the bundle lacks measurements, but its job has the rig one" in found
+    assert f"the bundle has format {FORMAT_WITHOUT_RIG}, but bundles of its job have format 3" in found
+    assert "the bundle has digests of the sensors [], but its rig has the sensors ['scan']" in found

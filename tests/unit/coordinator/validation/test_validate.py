@@ -84,30 +84,30 @@ JOB = {
     "another run": (lambda p: p.with_job(run="other-1"), "job.run"),
 }
 TABLES = {
-    "wrong id": (lambda p: p.with_meta(episode_id="ep_000009"), "episode_id 'ep_000009'"),
-    "wrong words": (lambda p: p.with_job(instruction="Fly."), "instruction 'Fly.', template train_01 gives"),
+    "wrong id": (lambda p: p.with_meta(episode_id="ep_000009"), "episode_id is 'ep_000009'"),
+    "wrong words": (lambda p: p.with_job(instruction="Fly."), "instruction is 'Fly.', but template train_01 gives"),
     "no such template": (lambda p: p.with_job(template_id="train_99"), "template_id 'train_99' does not exist"),
     "wrong pool": (lambda p: p.with_job(split=Split.TEST_PARAPHRASE_OOD), "does not belong to split"),
     "colourless": (lambda p: p.with_job(template_id="train_06", colour="unknown"), "the colour is unknown"),
     "unlisted target": (lambda p: p.with_meta(target_instance_id=99), "target_instance_id 99 is not in the instance"),
     "doubled id": (lambda p: p.with_meta(instances=p.meta.instances * 2), "is listed 2 times in the table"),
     "wrong category": (lambda p: p.with_job(category="sofa"), "the target is a chair in the instance table"),
-    "wrong prim": (lambda p: p.with_meta(target_prim_path="/World/x"), "target_prim_path '/World/x'"),
+    "wrong prim": (lambda p: p.with_meta(target_prim_path="/World/x"), "target_prim_path is '/World/x'"),
     "moved target": (lambda p: p.with_meta(target_centroid_m=(1.6, 0.01, 0.5)).measured(), "is 0.010000 m away from"),
 }
 ROLLOUT = {
     "length": (
         lambda p: p.with_rollout(trajectory_length_m=0.03),
-        "trajectory_length_m 0.030000, the poses give 0.0225",
+        "trajectory_length_m is 0.030000, but the poses give 0.0225",
     ),
-    "error": (lambda p: p.with_rollout(final_ne_m=0.5), "final_ne_m 0.500000"),
+    "error": (lambda p: p.with_rollout(final_ne_m=0.5), "final_ne_m is 0.500000"),
     "3-d error": (lambda p: p.with_rollout(final_ne_3d_m=0.5), "final_ne_3d_m"),
     "least error": (lambda p: p.with_rollout(min_ne_m=0.5), "min_ne_m"),
     "start distance": (lambda p: p.with_rollout(spawn_dist_m=2.0), "spawn_dist_m"),
     "start pose": (lambda p: p.with_rollout(spawn_pose=(0.1, 0.0, 0.0)), "spawn_pose is 0.100000 m"),
     "start heading": (lambda p: p.with_rollout(spawn_pose=(0.0, 0.0, 0.2)), "and 0.200000 rad away from pose 0"),
-    "draws": (lambda p: p.with_rollout(spawn_draws=9), "spawn_draws 9, the job allows 8"),
-    "contacts": (lambda p: p.with_rollout(collision_count=13), "collision_count 13 in 12 steps"),
+    "draws": (lambda p: p.with_rollout(spawn_draws=9), "spawn_draws is 9, but the job allows at most 8"),
+    "contacts": (lambda p: p.with_rollout(collision_count=13), "collision_count is 13, but the episode has 12 steps"),
     "visibility": (lambda p: p.with_rollout(steps_visible=3), "steps_visible 3, but 12 of 12 examined frames show"),
     "tier": (lambda p: p.with_job(tier=Tier.MID), "spawn distance 1.600 m is outside tier mid"),
     "no success": (lambda p: p.with_rollout(end_reason=EndReason.TIMEOUT), "only successes are archived"),
@@ -166,7 +166,7 @@ def test_start_beside_the_heading_of_an_instruction_in_front_is_refused() -> Non
     job = job_for(start_view=StartView(within_rad=math.radians(30)))
     turned = parts_for(job)
     poses = turned.arrays.poses.copy()
-    poses[:, 3], poses[:, 6] = math.cos(0.3), math.sin(0.3)  # a heading of 0.6 rad
+    poses[:, 3], poses[:, 6] = math.cos(0.3), math.sin(0.3)  # quaternion of a heading of 0.6 rad
     assert "start: the target is 34.4 degrees from the heading, above 30" in findings_of(
         turned.with_arrays(poses=poses)
     )
@@ -178,7 +178,7 @@ def test_worker_that_drops_the_conditions_is_refused() -> None:
 
 
 def by_surface(parts: BundleParts, task: TaskConfig = SHORT_BY_SURFACE, **demonstration: object) -> BundleParts:
-    """The smallest bundle with a footprint that ends 0.2 m before the centroid, validated by the distance to it."""
+    """The smallest bundle, with success measured to a footprint whose edge is 0.2 m nearer than the centroid."""
     wanted = DemonstrationConfig.model_validate(demonstration)
     job = {"task": task, "demonstration": wanted, "tier": Tier.FAR}
     return parts.with_meta(target_footprint_m=FOOTPRINT_M).with_job(**job).measured().with_rollout(target_in_view=True)
@@ -186,8 +186,8 @@ def by_surface(parts: BundleParts, task: TaskConfig = SHORT_BY_SURFACE, **demons
 
 SURFACE = {
     "no footprint": (lambda p: by_surface(p).with_meta(target_footprint_m=()), "chair_001 has no footprint"),
-    "false error": (lambda p: by_surface(p).with_rollout(final_surface_m=0.5), "final_surface_m 0.5, the poses"),
-    "no error": (lambda p: by_surface(p).with_rollout(spawn_surface_m=None), "spawn_surface_m None, the poses"),
+    "false error": (lambda p: by_surface(p).with_rollout(final_surface_m=0.5), "final_surface_m is 0.5, but the poses"),
+    "no error": (lambda p: by_surface(p).with_rollout(spawn_surface_m=None), "spawn_surface_m is None, but the poses"),
     "too far": (
         lambda p: by_surface(p, SHORT_BY_SURFACE.model_copy(update={"success_radius_m": 0.1})),
         "no success: 1.37",
@@ -195,7 +195,7 @@ SURFACE = {
     "tier": (lambda p: by_surface(p).with_job(tier=Tier.NEAR), "spawn distance 1.400 m is outside tier near"),
     "contact": (
         lambda p: by_surface(p, max_contact_steps=2).with_rollout(collision_count=3),
-        "collision_count 3, the plan allows 2",
+        "collision_count is 3, but the plan allows at most 2",
     ),
     "target lost": (
         lambda p: with_image(by_surface(p, target_in_view=True), 11, 2, slice(280, 360), TARGET_ID - 5),
@@ -238,11 +238,11 @@ def states(expert: ExpertName = ExpertName.PROPORTIONAL) -> BundleParts:
 STATES = {
     "frames in a states recording": (
         lambda: with_members_of(parts_for(), states()),
-        "the bundle has frames; its job records states",
+        "the bundle has frames, but its job records states",
     ),
     "no frames": (
         lambda: with_members_of(states(), parts_for()),
-        "the bundle lacks frames; its job records frames",
+        "the bundle lacks frames, but its job records frames",
     ),
     "instance table": (
         lambda: states().with_meta(instances=parts_for().meta.instances).write(),
@@ -250,9 +250,12 @@ STATES = {
     ),
     "uncounted visibility": (
         lambda: states().with_rollout(steps_visible=None).write(),
-        "steps_visible None in a recording of states by the proportional expert",
+        "steps_visible is None, not a number, in a recording of states by the proportional expert",
     ),
-    "too much visibility": (lambda: states().with_rollout(steps_visible=13).write(), "steps_visible 13 in 12 steps"),
+    "too much visibility": (
+        lambda: states().with_rollout(steps_visible=13).write(),
+        "steps_visible is 13, but the episode has 12 steps",
+    ),
     "missing digest": (
         lambda: edited(states(), lambda meta: meta.update(frame_digests=meta["frame_digests"][1:])),
         "2 frame digests for 3 frames",

@@ -63,7 +63,7 @@ def test_all_violations_cross_the_pipe(validator: Validator, tmp_path: Path) -> 
     text = str(refused.value)
     assert "job.index" in text
     assert "steps_visible 3" in text
-    assert "final_ne_m 9" in text
+    assert "final_ne_m is 9" in text
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"\x00" * 5000, bundle_bytes()[:-100]])
@@ -117,7 +117,7 @@ def test_a_bundle_is_not_refused_if_a_signal_from_outside_ends_the_validating_pr
             os.kill(child, signal.SIGTERM)
             os.kill(child, signal.SIGCONT)
             error = checking.exception()
-            if error is not None:  # otherwise the signal came before the bundle, and another process validated it
+            if error is not None:  # without an error, the signal came before the bundle, and a new process validated it
                 break
     assert isinstance(error, TransientError)
     assert "a signal from outside ended the validating process" in str(error)

@@ -17,7 +17,7 @@ from workers.appearance.relight import LAMP_K, SKY_K, expose, gain_of, mix_light
 
 
 def mix(*gains: float, kelvin: float = LAMP_K, sky: float = 1.0, adaptation: float = 0.0) -> LightMix:
-    # the last group are the narrow sides of the lamps
+    # the last group contains the narrow sides of the lamps
     lamps = tuple(LampLight(gain=gain, temperature_k=kelvin) for gain in (*gains, 1.0))
     return LightMix(lamps=lamps, sky=LampLight(gain=sky, temperature_k=SKY_K), adaptation=adaptation)
 

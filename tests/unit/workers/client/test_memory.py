@@ -1,4 +1,4 @@
-"""Memory of a host: the values of the system, and no value if the system does not report them."""
+"""Memory of a host: the values that the system reports, or no value if it reports none."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def test_two_threads_fetch_one_scene_once(tmp_path):
     first = threading.Thread(target=cache.ensure, args=(source.sha256, 5, slow, never_wait))
     first.start()
     assert started.wait(60)
-    other = SceneCache(tmp_path, 1 << 30)  # as another process would
+    other = SceneCache(tmp_path, 1 << 30)  # like the cache of another process
     path = other.ensure(source.sha256, 5, source.fetch, goes_on.set)
     first.join()
     assert path.read_bytes() == b"scene"
@@ -148,7 +148,7 @@ ONE, OTHER = make_layout("home_00001", shades=(40, 200)), make_layout("home_0000
 def test_a_texture_of_two_layouts_is_fetched_once_for_a_host(tmp_path):
     shelf = Shelf(ONE, OTHER)
     for layout in (ONE, OTHER, ONE):
-        path = ensure_layout(SceneCache(tmp_path, 1 << 30), shelf, layout)  # as another process would
+        path = ensure_layout(SceneCache(tmp_path, 1 << 30), shelf, layout)  # like a new process
         assert read_scene(path).info.texture_count == 2
     assert sorted(shelf.asked) == sorted(shelf.files)
 
@@ -186,7 +186,7 @@ def test_eviction_keeps_the_textures_of_kept_packages(tmp_path):
     cache, shelf = SceneCache(tmp_path, limit), Shelf(*layouts)
     for layout in layouts:
         ensure_layout(cache, shelf, layout)
-        for path in tmp_path.rglob("*.*"):  # time passes
+        for path in tmp_path.rglob("*.*"):  # makes every file one second older
             if path.suffix != ".lock":
                 os.utime(path, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns - 10**9))
         for path in tmp_path.glob("*.scene"):

@@ -49,7 +49,7 @@ def test_bundle_survives_a_restart(tmp_path):
 def test_finished_bundle_is_found_from_outside_by_its_lease_alone(tmp_path):
     with open_spool(tmp_path) as one, open_spool(tmp_path) as two:
         put(two, lease(2))
-        one.path_for(lease(3)).write_bytes(BUNDLE)  # under way
+        one.path_for(lease(3)).write_bytes(BUNDLE)  # not finished
         found = find_bundle(tmp_path, lease(2))
         assert found is not None
         assert found.parent == two.directory

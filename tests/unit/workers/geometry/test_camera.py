@@ -16,7 +16,7 @@ SIZE = 640
 
 
 def project(pose: Pose, point: tuple[float, float, float]) -> np.ndarray:
-    """Returns (column, row, depth) by the optical frame and the intrinsics."""
+    """Returns (column, row, depth), computed with the optical frame and the intrinsics."""
     optical = optical_pose(pose, CAMERA)
     local = optical.rotation.T @ (np.array(point) - optical.eye)
     column, row, depth = intrinsics(CAMERA, SIZE) @ local
@@ -24,7 +24,7 @@ def project(pose: Pose, point: tuple[float, float, float]) -> np.ndarray:
 
 
 def project_by_gl(pose: Pose, point: tuple[float, float, float]) -> np.ndarray:
-    """Returns (column, row, depth) by the matrices of OpenGL."""
+    """Returns (column, row, depth), computed with the matrices of OpenGL."""
     clip = projection_matrix(CAMERA) @ view_matrix(optical_pose(pose, CAMERA)) @ np.array((*point, 1.0))
     x, y = clip[:2] / clip[3]
     return np.array(((x + 1) / 2 * SIZE, (1 - y) / 2 * SIZE, clip[3]))

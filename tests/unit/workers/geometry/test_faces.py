@@ -1,4 +1,4 @@
-"""Plans of faces: one for each lens, of bounded size, with weights that add up."""
+"""Plans of the faces that a camera is rendered from: one for each lens, with bounded sizes and normalised weights."""
 
 from __future__ import annotations
 

@@ -141,4 +141,4 @@ def test_a_mount_turns_about_the_fixed_axes_in_the_order_of_a_urdf():
     assert down[:, 2] == pytest.approx((0, 0, -1), abs=1e-12)
     both = mounted_pose(Pose.planar(0, 0, 0), Mount(z_m=1.0, roll_deg=90, yaw_deg=90)).rotation
     assert both[:, 2] == pytest.approx((0, 1, 0), abs=1e-12)
-    assert both[:, 1] == pytest.approx((-1, 0, 0), abs=1e-12)  # its top points ahead
+    assert both[:, 1] == pytest.approx((-1, 0, 0), abs=1e-12)  # the top of the camera points ahead

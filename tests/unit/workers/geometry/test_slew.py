@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from schemas.config import RobotConfig
 from workers.geometry.slew import Twist, slew
 
-ROUNDING = 1e-7  # of float32 at the size of these speeds
+ROUNDING = 1e-7  # rounding error of float32 for speeds of this size
 ROBOT = RobotConfig()
 DT = 1 / 60
 SPEEDS = st.floats(-1.0, 1.0)
@@ -18,7 +18,7 @@ RATES = st.floats(-1.5, 1.5)
 
 
 def rounded(twist: Twist) -> Twist:
-    """The twist in the precision of the archive."""
+    """Returns the twist rounded to float32, as in the archive."""
     return Twist(float(np.float32(twist.v_mps)), float(np.float32(twist.w_rps)))
 
 

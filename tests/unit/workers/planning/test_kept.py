@@ -1,4 +1,4 @@
-"""Results that are kept with the grid of a scene."""
+"""Cache of results that are computed from the grid of a scene."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from workers.planning.lattice import PoseTable, pose_table
 
 
 class Result:
-    """Result that can be referenced weakly."""
+    """A result that supports weak references."""
 
 
 def small_grid() -> Grid:

@@ -30,7 +30,7 @@ def test_a_start_inside_the_circle_has_distance_zero():
 
 
 def test_the_distance_around_a_wall_is_the_shortest_path():
-    """The path passes the corners at (0.8, -1) and (1, -1) at 0.25 m and ends at the circle around (2.5, 1.3)."""
+    """The path passes the wall's corners (0.8, -1) and (1, -1) 0.25 m away and ends at the circle around (2.5, 1.3)."""
     found = geodesic((-1.5, 1.0), WALL)
     corners = ((-1.5, 1.0), (0.65, -1.2), (1.15, -1.2), (2.5, 1.3))
     taut = sum(math.dist(a, b) for a, b in itertools.pairwise(corners)) - 1.0
@@ -43,7 +43,7 @@ def test_two_sides_of_a_fence_are_not_connected():
 
 
 def test_a_wall_at_the_target_blocks_the_success_circle():
-    """The circle reaches beyond the wall; the far side does not count."""
+    """A part of the success circle is on the start's side of the wall; this part does not count."""
     screen = Box((1.9, -3.0, 0.0), (2.0, 3.0, 2.5))
     assert geodesic((1.4, 1.3), screen) is None
 

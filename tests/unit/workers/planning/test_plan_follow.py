@@ -23,7 +23,7 @@ CORNER = (
 
 
 def follow(path: tuple[Waypoint, ...], start: Pose, steps: int = 600) -> tuple[list[Pose], list[Twist]]:
-    """Integrates a robot that follows commands exactly."""
+    """Simulates a robot that follows commands exactly; returns its poses and commands."""
     follower, pose, command = Follower(path, ROBOT, CONFIG), start, Twist(0.0, 0.0)
     poses, commands = [pose], []
     for _ in range(steps):
@@ -73,7 +73,7 @@ def test_a_turn_on_the_spot_goes_the_planned_way_round(way):
 
 def test_a_turn_on_the_spot_ends_at_the_planned_heading_before_a_curve():
     """The robot turns by 90 degrees, then drives along an arc to the left; a larger turn on the spot could cause
-    contact behind it."""
+    contact behind the robot."""
     turn = [Waypoint(0.0, 0.0, math.radians(10 * step)) for step in range(10)]
     arc = [Waypoint(0.6 * math.cos(a) - 0.6, 0.6 * math.sin(a), a + math.pi / 2) for a in (0.3, 0.6, 0.9, 1.2)]
     poses, commands = follow((*turn, *arc), Pose.planar(0, 0, 0))

@@ -80,7 +80,7 @@ def test_a_released_array_is_not_copied_from(context: moderngl.Context) -> None:
 
 def test_layers_of_a_scene_that_no_longer_exists_are_uploaded(context: moderngl.Context) -> None:
     store = TextureStore(context)
-    store.upload(some_layers(2))  # their objects are deleted here, so that new ones may get their ids
+    store.upload(some_layers(2))  # these layers are freed here, so new layers may get the same `id()`
     layers = [layer // 2 for layer in some_layers(2)]
     assert np.array_equal(texels(context, store.upload(layers).array, 2)[0], layers[0][::-1])
 

@@ -32,9 +32,9 @@ def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
     [
         (Box((3.0, -0.5, 0.0), (3.5, 0.5, 1.0)), True),
         (Box((3.0, -0.5, 0.0), (3.5, 2.5, 1.0)), False),  # extends beyond the end of the wall
-        (Box((3.0, -0.5, 0.0), (3.5, 0.5, 4.0)), False),  # and above it
-        (Box((1.0, -0.5, 0.0), (1.5, 0.5, 1.0)), False),  # in front of it
-        (Box((1.9, -0.5, 0.0), (2.1, 0.5, 1.0)), False),  # intersects it
+        (Box((3.0, -0.5, 0.0), (3.5, 0.5, 4.0)), False),  # extends above the wall
+        (Box((1.0, -0.5, 0.0), (1.5, 0.5, 1.0)), False),  # in front of the wall
+        (Box((1.9, -0.5, 0.0), (2.1, 0.5, 1.0)), False),  # intersects the wall
         (Box((-2.0, -0.5, 0.0), (-1.5, 0.5, 1.0)), False),  # behind the camera
     ],
 )

@@ -1,4 +1,4 @@
-"""Noise of colour: photon statistics, exposure, white balance, JPEG; motion blur and rolling shutter."""
+"""Colour noise: photon statistics, exposure, white balance, JPEG; motion blur and rolling shutter."""
 
 from __future__ import annotations
 

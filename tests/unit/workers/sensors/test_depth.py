@@ -1,4 +1,4 @@
-"""Noise of depth by triangulation: error by distance, occlusion, edges, holes and limits."""
+"""Depth noise of triangulation: error by distance, occlusion, edges, holes and limits."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ def test_disparities_are_multiples_of_the_resolution() -> None:
 
 
 def test_structured_light_has_the_depth_steps_that_are_published_for_the_kinect() -> None:
-    """At 4 m and 585 px the steps are 4.6 cm (Khoshelham and Elberink 2012 measure about 7 cm at 5 m)."""
+    """With a focal length of 585 px, the steps at 4 m are 4.6 cm; Khoshelham and Elberink (2012) measure about 7 cm at
+    5 m."""
     noise = structured(shift_std_px=0.0)
     seen = np.unique(noisy_depth(flat(4.0), noise, 585.0, KEY, 0))
     steps = np.diff(seen[seen > 0])
@@ -79,7 +80,7 @@ def test_a_second_camera_on_the_right_does_not_see_a_strip_left_of_an_object() -
     strip = unseen[200]
     assert strip[150 - jump : 150].all()
     assert not strip[150:].any()
-    border = round(FOCAL_PX * baseline / 4.0)  # outside of the other image
+    border = round(FOCAL_PX * baseline / 4.0)  # these columns are outside of the second image
     assert np.flatnonzero(strip[: 150 - jump]).tolist() == list(range(border))
     assert np.flatnonzero(unseen[50]).tolist() == list(range(border))
 
@@ -135,7 +136,7 @@ def test_holes_cover_the_share_and_are_spots(share: float) -> None:
     assert found.mean() == pytest.approx(share, abs=0.15 * share + 1e-9)
     if 0 < share < 0.1:
         borders = (found[:, :, 1:] != found[:, :, :-1]).mean()
-        assert borders < found.mean() / 3  # single pixels would have twice their share
+        assert borders < found.mean() / 3  # with holes of single pixels, it would be twice the share of holes
 
 
 def test_holes_differ_between_steps() -> None:

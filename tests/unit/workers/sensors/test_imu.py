@@ -110,14 +110,14 @@ def test_measurements_are_limited_to_the_range_of_the_sensor() -> None:
 
 def test_a_mounting_rotation_is_that_of_fixed_axes_x_y_z() -> None:
     turn = mount_rotation(Mount(roll_deg=90, yaw_deg=90))
-    assert turn @ (0, 0, 1) == pytest.approx((1, 0, 0), abs=1e-12)  # z to -y about x, then -y to x about z
+    assert turn @ (0, 0, 1) == pytest.approx((1, 0, 0), abs=1e-12)  # roll turns z to -y, yaw turns -y to x
 
 
 # Noise ------------------------------------------------------------------------------------------------------------
 
 
 def allan_deviation(values: Floats, cluster: int) -> Floats:
-    """Returns the Allan deviation of (N, K) columns for clusters of that many values."""
+    """Returns the Allan deviation of each column of (N, K) values, for clusters of `cluster` values."""
     means = values[: len(values) // cluster * cluster].reshape(-1, cluster, values.shape[1]).mean(axis=1)
     return np.asarray(np.sqrt((np.diff(means, axis=0) ** 2).mean(axis=0) / 2))
 

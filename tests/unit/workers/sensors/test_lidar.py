@@ -92,7 +92,7 @@ def test_returns_outside_of_the_range_are_0() -> None:
     assert (part == np.where(inside, whole, 0)).all()
 
 
-# What is drawn ----------------------------------------------------------------------------------------------------
+# Rendered surfaces ------------------------------------------------------------------------------------------------
 
 
 def facing(corners: list[tuple[float, float, float]]) -> Floats:
@@ -100,7 +100,7 @@ def facing(corners: list[tuple[float, float, float]]) -> Floats:
 
 
 def with_sheet(scene: CompiledScene, *sheets: Floats) -> CompiledScene:
-    """Returns a scene with further parts of six vertices each, as instance 1."""
+    """Returns a scene with additional parts of six vertices each, as instance 1."""
     count = len(sheets)
     first = len(scene.positions) + 6 * np.arange(count, dtype=np.int32)
     return replace(
@@ -161,7 +161,7 @@ def test_triangles_outside_of_all_parts_are_not_drawn_and_not_hit() -> None:
 def test_a_scan_of_a_moving_robot_sees_each_direction_from_where_the_robot_was() -> None:
     steps = np.arange(13)
     poses = standing(steps=13)
-    poses[:, 0] = 0.02 * steps  # 1.2 m/s
+    poses[:, 0] = 0.02 * steps  # a speed of 1.2 m/s
     noise = QUIET.model_copy(update={"sweep_s": 0.1})
     scan = sense_lidar(empty_room(), lidar2d(noise=noise), poses, 12, HZ, KEY)
     ahead, behind = scan.ranges[0, 180], scan.ranges[0, 0]

@@ -1,4 +1,4 @@
-"""Bounds of the parameters of noise, and cameras that cannot have noise of depth."""
+"""Bounds of noise parameters, and cameras that do not support depth noise."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def digest(step: int) -> str:
 
 
 def test_numbers_are_those_of_philox_for_a_seed_sequence_of_seed_episode_and_sensor() -> None:
-    """The bytes of a dataset depend on this: numpy guarantees the bits, so that they may never change."""
+    """The bytes of a dataset depend on these numbers, so they must never change; numpy guarantees the bits."""
     assert KEY.bits(Effect.RANGE, 4, step=5).tolist() == [52057, 50507, 822, 29242]
 
 

@@ -26,7 +26,7 @@ PLAIN_BYTES = 150 * 3 * 360 * (4 + 2 + 4)
 
 
 def scene(casts: list[int]) -> Any:
-    """The room of boxes, which counts the scans."""
+    """Returns the room of boxes; each scan appends a number to `casts`."""
     rays = SceneRays(box_room())
 
     def count() -> SceneRays:

@@ -1,4 +1,4 @@
-"""Start poses on the grid: distances stay uniform where bearings are blocked, and every start keeps to its tier."""
+"""Start poses on the grid: distances are uniform even where bearings are blocked, and every start is in its tier."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_the_same_attempt_starts_at_the_same_pose() -> None:
 
 
 def pillared_room() -> LoadedScene:
-    """An open room with a crate surrounded by pillars at 1.5 m; some passages between them are narrow."""
+    """An open room with a crate in a ring of pillars of 2.4 m radius; the passages between the pillars are narrow."""
     angles = 2 * np.pi * np.arange(10) / 10
     spots = [(2.4 * math.cos(angle), 2.4 * math.sin(angle)) for angle in angles]
     pillars = [Box((x - 0.15, y - 0.15, 0.0), (x + 0.15, y + 0.15, 2.0)) for x, y in spots]
@@ -124,7 +124,7 @@ def test_straight_experts_start_where_the_predicted_drive_is_free() -> None:
     lines = place.grid.are_lines_free(points, 0.97 * points / 5.0, job.spawn.approach_clearance_m)
     off = job.spawn.heading_noise_rad
     drives = [is_drive_free(place, job, (x, y, math.atan2(-y, -x) + off)) for x, y in points[lines]]
-    assert 0 < sum(drives) < len(drives)  # so that there are several candidates
+    assert 0 < sum(drives) < len(drives)  # the drive is free from some of the candidates only
     for attempt in range(1, 60):
         tried = crate_job(place, attempt)
         start = first_start(place, tried)
@@ -140,7 +140,7 @@ def test_without_a_wide_path_the_widest_one_is_chosen() -> None:
     found = [(start.x, start.y, start.yaw) for start in starts if start is not None]
     assert len(found) == len(jobs)
     assert not all(is_drive_free(place, job, start) for job, start in zip(jobs, found, strict=True))
-    assert np.abs([y for _, y, _ in found]).mean() < 0.05  # along the middle of the lane
+    assert np.abs([y for _, y, _ in found]).mean() < 0.05  # the starts are near the centre line of the lane
 
 
 def screened(screening: Screening, **changes: Any) -> dict[str, Any]:
@@ -228,7 +228,7 @@ def test_far_starts_keep_to_their_range_along_the_floor(expert: ExpertName, scre
         assert low <= min(floor_m)
         assert max(floor_m) <= high
         detours += [floor - math.hypot(x, y) for floor, (x, y, _) in zip(floor_m, starts, strict=True)]
-    assert (max(detours) > 0.05) == (screening is Screening.NONE or expert is ExpertName.PLANNER)  # round the wall
+    assert (max(detours) > 0.05) == (screening is Screening.NONE or expert is ExpertName.PLANNER)  # detours
 
 
 def test_a_room_of_three_metres_has_no_far_start() -> None:
@@ -244,7 +244,7 @@ def test_all_blind_attempts_at_an_episode_start_at_its_distance() -> None:
     )
     assert all(max(found) - min(found) < 1e-9 for found in blind)
     assert all(max(found) - min(found) > 1e-3 for found in foreseen)
-    assert np.std([found[0] for found in blind]) > 0.6  # uniform over the tier, from episode to episode
+    assert np.std([found[0] for found in blind]) > 0.6  # the distances of the episodes spread over the tier
 
 
 @pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])

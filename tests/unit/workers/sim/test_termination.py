@@ -1,4 +1,4 @@
-"""The end of an episode from poses and commands."""
+"""How an episode ends, determined from its poses and commands."""
 
 from __future__ import annotations
 

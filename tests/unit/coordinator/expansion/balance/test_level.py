@@ -1,4 +1,4 @@
-"""Categories are spread as evenly as possible over all scenes: exchanges find the optimum for any scenes."""
+"""Balance of categories over all scenes: exchanging episodes between categories finds the most even distribution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seal of a closed ledger: an unchanged file is not audited again, and any other file is."""
+"""Digest of a closed ledger: the next start audits the file only if it has changed."""
 
 from __future__ import annotations
 

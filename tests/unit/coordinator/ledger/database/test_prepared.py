@@ -74,7 +74,7 @@ def test_a_rollback_leaves_nothing_and_a_savepoint_keeps_the_rest(engine):
         savepoint = connection.begin_nested()
         hire(connection, "a.2")
         savepoint.rollback()
-    with engine.connect() as connection:  # a transaction starts implicitly, as for SQLAlchemy's statements
+    with engine.connect() as connection:  # a transaction starts implicitly, as with SQLAlchemy's statements
         hire(connection, "a.3")
         connection.rollback()
     with engine.begin() as connection:
