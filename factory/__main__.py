@@ -1,7 +1,7 @@
 """Entry point of `factory` and `python -m factory`: removes the working directory from the import path.
 
-Then it runs the command line. `-m` and an empty entry of `PYTHONPATH` add the directory; a dataset may contain a module
-with the name of an imported one.
+Then it runs the command line. `python -m` and an empty entry in `PYTHONPATH` add the working directory to the import
+path. If that directory contains a file such as `json.py`, Python would import this file instead of the real module.
 """
 
 import os

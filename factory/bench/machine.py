@@ -39,9 +39,9 @@ def resident_mib(pid: int | str = "self") -> float:
 
 
 def reset_peak() -> None:
-    """Resets the peak memory counter, because building a scene needs more memory than simulating in it.
+    """Resets the peak memory counter of this process, so that the peak excludes the building of scenes.
 
-    Without kernel support, the peak remains that of the whole process.
+    Building a scene needs more memory than simulating in it. Does nothing if the kernel does not support the reset.
     """
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
@@ -63,7 +63,7 @@ def cpu_s_of_children() -> float:
 
 
 def _peak_mib(pid: int | str) -> float:
-    # not getrusage: its maximum survives an exec and would include the parent
+    # not getrusage, whose maximum survives an exec and so includes the memory of the parent process
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmHWM:"):
             return round(int(line.split()[1]) / 1024, 1)
@@ -108,7 +108,7 @@ def stage_costs(runs: Sequence[tuple[int, StageTimes]]) -> tuple[StageCost, ...]
     """Returns the cost per frame of every stage.
 
     Args:
-        runs: Number of frames and stage times of every repetition; all have the same stages.
+        runs: Number of frames and stage times of each repetition; all repetitions have the same stages.
     """
     return tuple(
         StageCost(

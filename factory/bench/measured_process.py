@@ -1,4 +1,4 @@
-"""Starts a process that a benchmark measures and that ends with it."""
+"""Starts a process that a benchmark measures, and terminates it when the benchmark ends."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from workers.client.stopping import signals_deferred
 
 @contextmanager
 def measured_process(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[Any]]:
-    """Yields a process that gets SIGTERM at the end of the block, also if a signal arrives while it is started.
+    """Yields a process that gets SIGTERM at the end of the block, even if a signal interrupts its start.
 
     Args:
         command: command line.

@@ -93,7 +93,7 @@ class SceneRollout(Model):
     failed_attempts: int
     """Number of failed attempts of the same jobs, per repetition; not included in the values above."""
     failed_share_of_time: float
-    """Share of the wall time spent on failed attempts."""
+    """Share of the total wall time that failed attempts take."""
     kb_per_frame: dict[str, float]
     """Stored size per frame by kind of member, kB (1000 bytes)."""
     memory: Memory
@@ -103,7 +103,7 @@ class SceneRollout(Model):
 
 
 class CollectPace(Model):
-    """Pace of whole runs of one plan."""
+    """Episode rate and CPU time of complete runs of one plan."""
 
     record: Recording
     expert: ExpertName
@@ -173,7 +173,7 @@ class SceneRender(Model):
     """Frames of three images per second of wall time."""
     stages: tuple[StageCost, ...]
     without_colour: tuple[StageCost, ...]
-    """Cost of depth and ids without colour, as an expert uses them; empty for frames of another size than 640."""
+    """Cost of depth and ids without colour, as an expert uses them; empty if the size is not 640 pixels."""
     triangles: int
     """Number of triangles in the scene."""
     triangles_in_view: float
@@ -223,9 +223,9 @@ class WireBench(Model):
     """Result for a complete coordinator in a separate process, with worker processes over zenoh on loopback."""
 
     cycles_per_s: Spread
-    """Cycles of claim and announcement per second of wall time, each answered when durable."""
+    """Cycles of claim and announcement per second of wall time; each reply is sent when the change is durable."""
     archived_per_s: Spread
-    """Small bundles pulled and archived per second at the same time; the others remain queued."""
+    """Small bundles pulled and archived per second during these cycles; the remaining bundles stay queued."""
     coordinator_cpu_ms: Spread
     """CPU time of the coordinator process per cycle, including the concurrent pulling, milliseconds."""
     workers_cpu_ms: Spread
@@ -280,9 +280,9 @@ class ReadBench(Model):
     random_frames_per_s: Spread
     """Random frames of random episodes (colour, depth and ids) per second of wall time, on one core."""
     random_frames_per_cpu_s: Spread | None
-    """The same per second of CPU time; `None` if frames are rendered, which takes place in another process."""
+    """Such frames per second of CPU time; `None` if frames are rendered, which takes place in another process."""
     by_image: dict[str, Spread]
-    """Random single images of 640 pixels per second of wall time, by kind of image; empty for another size."""
+    """Random single images per second of wall time, by kind of image; empty if the size is not 640 pixels."""
     open_ms: Spread
     """Time to open an episode and read its first array, milliseconds."""
     loader_workers: int

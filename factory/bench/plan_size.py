@@ -13,15 +13,15 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
     """Returns the plan with `episodes` episodes in each of these scenes, or in all scenes if `scenes` is empty.
 
     Raises:
-        UsageError: The plan does not have the scene, or has fewer episodes in it.
+        UsageError: The plan does not have one of the scenes, or has fewer episodes of it.
     """
     names = list(scenes) or [scene.name for scene in plan.scenes]
     parts = tuple(shrink(plan, scenes=(name,), episodes=1).scenes[0] for name in dict.fromkeys(names))
     found = {scene.name: scene.episodes for scene in plan.scenes}
-    short = [f"{part.name} {found[part.name]}" for part in parts if found[part.name] < episodes]
+    short = [f"{found[part.name]} of {part.name}" for part in parts if found[part.name] < episodes]
     if short:
         raise UsageError(
-            f"--episodes {episodes}: plan {plan.name!r} has fewer episodes of {', '.join(short)}; choose another PLAN"
+            f"--episodes {episodes}: plan {plan.name!r} has fewer episodes ({', '.join(short)}); choose another PLAN"
         )
     return plan.model_copy(update={"scenes": tuple(part.model_copy(update={"episodes": episodes}) for part in parts)})
 

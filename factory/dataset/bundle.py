@@ -78,7 +78,8 @@ class EpisodeBundle(BundleReader):
         Args:
             t: step.
             size: width and height, pixels.
-            antialias: samples per pixel along each axis; colours are their mean, depth and ids those of the middle.
+            antialias: samples per pixel along each axis; colours are their mean, depth and ids are those of
+                the middle sample.
 
         Raises:
             ArchiveCorrupt: the scene package is missing or was changed.

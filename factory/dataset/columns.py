@@ -1,7 +1,7 @@
 """Columns of `metadata.parquet`, read at the first access and kept in a compact form. Interprets no row.
 
-A million rows take 0.3 GB: repeated text is stored once, and integers have the smallest type that fits. All columns are
-those of one version of the file, also if a coordinator replaces it meanwhile.
+A million rows take 0.3 GB: repeated text is stored once, and integers have the smallest type that fits. All columns
+come from one version of the file, even if a coordinator replaces it meanwhile.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _UNIQUE = frozenset({"episode_id", "content_digest", "file_sha256", "file_name"}
 _LATER = pa.schema(
     [("spawn_surface_m", pa.float64()), ("final_surface_m", pa.float64()), ("target_in_view", pa.bool_())]
 )
-"""Columns that versions of this software added after the first; null where the table lacks them."""
+"""Columns that later versions of this software added; null in tables that lack them."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ROWS_PER_SINGLE = 3000
 """Reading the columns of this number of rows takes as long as reading one row from its row group."""
@@ -61,7 +61,7 @@ class Columns:
         """Number of rows."""
 
     def __getitem__(self, name: str) -> pa.Array:
-        """Returns a column: text as a dictionary unless its values do not repeat, integers in the smallest type.
+        """Returns a column: text whose values repeat as a dictionary array, integers in the smallest type that fits.
 
         Raises:
             ArchiveCorrupt: The column is damaged.
@@ -74,8 +74,8 @@ class Columns:
     def row(self, position: int) -> dict[str, Any]:
         """Returns the values of one row, not validated.
 
-        The first rows that are requested from a large table are read from their row groups, until this has taken as
-        long as reading all columns.
+        At first, each requested row of a large table is read from its row group. As soon as this has taken as long as
+        reading all columns would, all columns are read.
         """
         if not self._readers and self._single < self.rows // _ROWS_PER_SINGLE:
             self._single += 1
@@ -86,7 +86,7 @@ class Columns:
 
     def _open(self) -> pq.ParquetFile:
         found = table_of(self._path)
-        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # stays readable if replaced
+        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # an open file stays readable
         footer = pq.read_metadata(source)
         names = footer.schema.to_arrow_schema().names
         missing = [name for name in NAMES if name not in {*names, *_LATER.names}]
@@ -100,7 +100,7 @@ class Columns:
         if name not in self._file.schema_arrow.names:
             return pa.nulls(self.rows, _LATER.field(name).type)
         (column,) = self._file.read([name], use_threads=False).columns
-        column.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
+        column.validate(full=True)  # otherwise invalid UTF-8 raises an error only when the value is used
         compact = _compact(representable(column) if pa.types.is_timestamp(column.type) else column)
         pa.default_memory_pool().release_unused()
         return compact
@@ -124,7 +124,7 @@ class Columns:
             raise ArchiveCorrupt(f"{self._path} is damaged ({error}): resume the run to rewrite it") from error
 
     def __getstate__(self) -> dict[str, Any]:
-        """Returns all columns, because another process might open another version of the file."""
+        """Reads and returns all columns, because the file may be replaced before another process opens it."""
         return {
             "_path": self._path,
             "_loaded": {name: self[name] for name in NAMES},

@@ -194,7 +194,7 @@ class Episode(Closing):
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
         from factory.dataset.rendering.observation import (
-            observe,  # not at the start of each process that reads a dataset
+            observe,  # slow to import, and rarely needed
         )
 
         chosen, step = self._sensors(sensors), self._step(t)

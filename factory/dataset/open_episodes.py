@@ -8,7 +8,7 @@ from typing import Any
 from factory.dataset.reader import Dataset, Episode
 
 MOST_OPEN = 128
-"""Bundles that a process keeps open, 0.6 MiB and one file each; opening one costs as much as decoding a frame."""
+"""Maximum number of open bundles; one takes 0.6 MiB and an open file. Opening it takes as long as decoding a frame."""
 
 
 class OpenEpisodes:

@@ -54,7 +54,7 @@ class ScenePackage(NamedTuple):
         return read_geometry(find_package_file(*self))
 
     def rays(self) -> SceneRays:
-        """Returns the ray caster of the scene; those of the most recently used scenes are kept.
+        """Returns the ray caster of the scene; keeps the ray casters of the most recently used scenes.
 
         Raises:
             ArchiveCorrupt: No package has the digest.
@@ -63,10 +63,10 @@ class ScenePackage(NamedTuple):
         return _rays_of(self)
 
     def appearance_scene(self, with_light: bool) -> AppearanceScene:
-        """Returns what the appearance of an episode depends on; those of the most recently used scenes are kept.
+        """Returns the data for drawing appearances of the scene; keeps the data of the most recently used scenes.
 
         Args:
-            with_light: whether the light groups are read, or baked if this machine has not baked them.
+            with_light: whether to add the light groups, which are baked first if the cache does not have them.
 
         Raises:
             ArchiveCorrupt: No package has the digest.
@@ -102,7 +102,7 @@ def _appearance_scene(package: ScenePackage, with_light: bool) -> AppearanceScen
 
 
 def light_file(package: Path, sha256: str) -> Path:
-    """Returns the light groups of a scene package; bakes them once for each cache, which takes 10 to 30 s.
+    """Returns the file of the light groups of a scene package; if it is not cached, bakes them in 10 to 30 s.
 
     Raises:
         UsageError: embreex is not installed.
@@ -117,12 +117,12 @@ def find_package_file(root: Place, name: str, sha256: str) -> Path:
     """Returns the package of a scene with that digest, from the dataset or a folder of `MINIVLA_SCENES`.
 
     Raises:
-        ArchiveCorrupt: No package has the digest; the message has the digests of the packages found, and the folders.
+        ArchiveCorrupt: No package has the digest; the message lists the digests found and the folders.
     """
     found = []
     folders = (root / SCENES, *scene_path())
     places = [place for folder in folders for place in packages_of(folder, name)]
-    for place in sorted(places, key=lambda place: sha256[:16] not in place.name):  # hashing each would take long
+    for place in sorted(places, key=lambda place: sha256[:16] not in place.name):  # most likely first
         path = package_file(place)
         digest = digest_of(path)
         if digest == sha256:
@@ -141,7 +141,7 @@ def packages_of(folder: Place, name: str) -> list[Place]:
 
 
 def packages_by_scene(folder: Place) -> dict[str, Place]:
-    """Returns a package of each scene that has one in a folder; the folder need not exist."""
+    """Returns one package for each scene in a folder, by scene name; the folder need not exist."""
     found: dict[str, Place] = {}
     for place in children(folder):
         name, separator, _ = place.name.rpartition("-")
@@ -151,7 +151,7 @@ def packages_by_scene(folder: Place) -> dict[str, Place]:
 
 
 def package_file(place: Place) -> Path:
-    """Returns the local file of a scene package, and stores the textures that it needs beside it.
+    """Returns the local file of a scene package; downloads a remote package with the textures that it needs.
 
     Raises:
         FileNotFoundError: The package does not exist.

@@ -1,4 +1,4 @@
-"""Rows of `questions.parquet`: from the questions of an episode, and from the metadata of recorded episodes."""
+"""Builds rows of `questions.parquet` from verified questions, or from the questions in the metadata of episodes."""
 
 from __future__ import annotations
 

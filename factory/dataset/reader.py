@@ -236,7 +236,7 @@ class Dataset:
         row = bisect_left(numbers, index_of_file(f"{episode_id}.zip") or 0)
         if row < len(names) and names[row].as_py() == episode_id:
             return row
-        return int(pc.index(names, episode_id).as_py())  # unknown, or the rows of a damaged table are not in order
+        return int(pc.index(names, episode_id).as_py())  # unknown id, or unordered rows of a damaged table
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.root)!r}, {len(self)} episodes)"
@@ -248,7 +248,7 @@ def _appearance(root: Place, plan: Plan, chosen: str | Path | Appearance | None)
         return None if stores_frames else plan.appearance
     if stores_frames:
         raise UsageError(
-            f"{root} stores frames, which are rendered already: give a dataset of `factory run --record states`"
+            f"{root} stores frames, whose appearance is fixed: give a dataset of `factory run --record states`"
         )
     if isinstance(chosen, Appearance):
         return chosen
@@ -263,7 +263,7 @@ def _rig(rig: str | Path | Rig, control_hz: int) -> Rig:
 
 
 def _with_layouts(asked: pa.Array, held: pa.Array) -> pa.Array:
-    """Returns the scenes with all layouts of the families among them."""
+    """Returns the requested scenes, with all layouts of each requested family."""
     wanted = set(asked.to_pylist())
     layouts = [name for name in held.unique().to_pylist() if name not in wanted and family_of(name) in wanted]
     return pa.concat_arrays([asked, pa.array(layouts, pa.string())])

@@ -21,7 +21,7 @@ _BUFFER_SAMPLES = 1 << 22
 
 
 def scene_numbers(dataset: Dataset) -> NDArray[np.int64]:
-    """Returns the number of the scene of each episode, (E,); scenes are numbered by their first episode."""
+    """Returns the number of the scene of each episode, (E,); scenes are numbered in order of first occurrence."""
     column = dataset.column("scene_sha256").cast(pa.string())
     numbers: NDArray[np.int64] = pc.index_in(column, value_set=pc.unique(column)).to_numpy().astype(np.int64)
     return numbers

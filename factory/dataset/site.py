@@ -50,7 +50,7 @@ def dataset_directory(name: str | Place, command: str) -> Path:
 
     Args:
         name: directory, or URL of object storage.
-        command: command, for the error.
+        command: name of the command, for the error message.
 
     Raises:
         UsageError: the dataset is in object storage, or the URL is invalid.
@@ -65,7 +65,7 @@ def dataset_directory(name: str | Place, command: str) -> Path:
 
 
 def _state_dir_of(place: ObjectPath) -> Path:
-    # the same bucket name on two servers means two datasets
+    # the same URL on two servers means two datasets
     whole = f"{place} {store_endpoint()}"
     readable = re.sub(r"[^A-Za-z0-9_-]+", "-", str(place).partition("://")[2])[-40:].strip("-")
     return state_directory() / "archives" / f"{readable}-{hashlib.sha256(whole.encode()).hexdigest()[:16]}"

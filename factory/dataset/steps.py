@@ -20,13 +20,13 @@ def has_routes(root: Place) -> bool:
 
 
 def has_questions(root: Place, meta: DatasetMeta) -> bool:
-    """Returns whether a dataset has questions, of `factory relabel` or of its plan."""
+    """Returns whether a dataset has questions, from `factory relabel` or recorded because its plan has questions."""
     planned = meta.plan.language
     return (root / QUESTIONS_FILE).is_file() or (planned is not None and planned.questions)
 
 
 def read_text_table(path: Place, episode_id: str | None = None) -> pa.Table:
-    """Returns a table of `factory relabel`.
+    """Returns a table that `factory relabel` wrote.
 
     Args:
         path: location of the Parquet file.

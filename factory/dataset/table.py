@@ -27,7 +27,7 @@ def read_table(path: Place, columns: Sequence[str]) -> pa.Table:
         Exception: The file is damaged: `pyarrow.ArrowException` or one of `PARSER_ERRORS`.
     """
     table = pq.read_table(table_of(path))
-    table.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
+    table.validate(full=True)  # otherwise invalid UTF-8 raises an error only when the value is used
     table = table.select(list(columns))
     for position, field in enumerate(table.schema):
         if pa.types.is_timestamp(field.type):

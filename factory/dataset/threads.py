@@ -1,4 +1,4 @@
-"""Thread pools for reading frames: PNG, zstandard and numpy release the GIL, and other processes render."""
+"""Reads frames in threads, which run in parallel: decoding releases the GIL, and other processes render."""
 
 from __future__ import annotations
 

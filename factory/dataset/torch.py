@@ -116,7 +116,7 @@ class ClipDataset:
             self._sample(episode, first, {name: batch[number] for name, batch in images.items()})
             for number, (episode, first) in enumerate(places)
         ]
-        self._episodes.trim()  # only after reading, because the batch uses them
+        self._episodes.trim()  # not earlier, because the batch uses open episodes
         return FrameBatch(samples, images)
 
     def _allocate(self, count: int) -> dict[str, NDArray[Any]]:

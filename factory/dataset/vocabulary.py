@@ -22,7 +22,7 @@ def require_known(name: str, values: Iterable[str], held: Callable[[], Sequence[
     Args:
         name: Name of the filter.
         values: Requested values that no episode of the dataset has.
-        held: Function that returns the values of the filter in the dataset.
+        held: Function that returns the values that occur in the dataset.
         plan: Plan of the dataset.
 
     Raises:
@@ -60,7 +60,7 @@ def _is_target(value: str, plan: Plan) -> bool:
 
 
 def _is_episode(value: str, plan: Plan) -> bool:
-    """Returns whether a value is the id of a planned episode; it need not be archived or in this part."""
+    """Returns whether a value is the id of a planned episode; the episode need not be archived."""
     number = value.removeprefix("ep_")
     return re.fullmatch(r"[0-9]{6,}", number) is not None and (
         1 <= int(number) <= plan.episodes and value == episode_id(int(number))

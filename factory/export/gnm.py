@@ -102,7 +102,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
 
 def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
-    """Returns an encoded JPEG; Pillow's own file writer does not detect partial writes to a full disk."""
+    """Returns an encoded JPEG, not written by Pillow, which does not detect partial writes to a full disk."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "JPEG", quality=quality)
     return buffer.getvalue()
@@ -113,7 +113,7 @@ def _length(position: NDArray[np.float64]) -> float:
 
 
 def _loader_lists(by_split: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Returns the two lists that the loaders read."""
+    """Returns the episodes of the two lists that the loaders read, `train` and `test`."""
     held_out = by_split.get(Split.VAL_ID) or [
         episode for split, episodes in by_split.items() if split in _TEST_SPLITS for episode in episodes
     ]

@@ -91,7 +91,7 @@ class WebdatasetOptions(Decimated):
     """Options of format `webdataset`."""
 
     shard_mb: int = Field(
-        default=500, ge=1, le=8000, description="Size of a shard, MB; the last episode may exceed it. Default: 500."
+        default=500, ge=1, le=8000, description="Size of a shard, MB; its last episode may exceed it. Default: 500."
     )
 
 

@@ -87,7 +87,7 @@ class Output(Closing):
                 part.write_text(facts, encoding="utf-8")
 
     def begin_finish(self, pieces: Iterable[str]) -> None:
-        """Opens the journal of finished files for this set of pieces; deletes the files of any other set."""
+        """Opens the journal of finished files for these pieces; deletes finished files that contain other pieces."""
         digest = hashlib.sha256("\n".join(pieces).encode()).hexdigest()
         lines = self._read_journal()
         if lines[:1] == [digest]:

@@ -46,10 +46,10 @@ _CARD = """
 
 
 class PaperFacts(EpisodeFacts):
-    """Values of the rows that a states dataset does not have."""
+    """Values of the metadata rows that a states dataset does not store."""
 
     content_digest: str
-    """Content digest of the frames recording."""
+    """Content digest that a frames recording of the episode has."""
     steps_visible: int | None
     """Number of frames in which the target is visible."""
 
@@ -122,7 +122,7 @@ def _shows_target(episode: Episode, t: int) -> bool:
 
 
 def _sealed(episode: Episode, frame_digests: Sequence[str], steps_visible: int) -> EpisodeMeta:
-    """Returns the metadata that the frames recording of a states recording has."""
+    """Returns the metadata that a frames recording of the same episode has."""
     arrays = EpisodeArrays(episode.actions, episode.tokens, episode.poses)
     return seal(as_frames(episode, steps_visible), frame_digests, arrays)
 

@@ -42,7 +42,7 @@ def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:
 
 
 def rows_digest(rows: pa.Table) -> str:
-    """Returns the SHA-256 over the columns that identify the episodes of `metadata.parquet`, in their order."""
+    """Returns the SHA-256 over the identifying columns of `metadata.parquet`; it depends on the order of the rows."""
     digest = hashlib.sha256()
     for name in _IDENTITY:
         digest.update(json.dumps([name, rows[name].to_pylist()]).encode())
@@ -81,5 +81,5 @@ def plain_dataset_meta(meta: DatasetMeta) -> dict[str, Any]:
 
 
 def to_json(values: dict[str, Any]) -> str:
-    """Returns JSON values as text with one value in a line."""
+    """Returns JSON values as text with one value per line."""
     return json.dumps(values, indent=1, ensure_ascii=False)

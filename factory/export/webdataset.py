@@ -70,7 +70,7 @@ class Shard(NamedTuple):
 
 
 class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
-    """Exporter of format `webdataset`. A piece contains tar members without end of archive; a shard joins pieces."""
+    """Exporter of format `webdataset`. A piece is a tar file without end mark; a shard consists of several pieces."""
 
     name = "webdataset"
     about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless"
@@ -119,7 +119,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
 
 
 def shards_of(split: str, pieces: Sequence[ExportPiece[WebdatasetFacts]], limit_bytes: int) -> Iterator[Shard]:
-    """Yields the shards of a split: pieces in a fixed pseudo-random order; a full shard starts a new one.
+    """Yields the shards of a split: pieces in a fixed pseudo-random order; a new shard begins when one is full.
 
     The order of the plan groups episodes by scene; shuffling mixes scenes within a shard.
     """

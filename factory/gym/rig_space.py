@@ -31,7 +31,7 @@ def live_rig(rig: str | Path | Rig, control_hz: int) -> Rig:
 
 
 def rig_spaces(rig: Rig) -> dict[str, spaces.Space[Any]]:
-    """Returns the box of each array of a rig, without ids."""
+    """Returns the box of each array of a rig; arrays of instance ids are omitted."""
     return {spec.name: _box(spec) for sensor in rig.sensors for spec in live_arrays(sensor).values()}
 
 

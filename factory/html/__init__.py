@@ -35,7 +35,7 @@ def render(template: str, **values: object) -> str:
 
 
 def compile_templates(folder: str) -> None:
-    """Compiles the templates of a folder of `factory/html/templates`, so that their first rendering takes no longer."""
+    """Compiles the templates of a folder of `factory/html/templates` in advance, so that no request waits for this."""
     for name in _environment().list_templates(filter_func=lambda name: name.startswith(f"{folder}/")):
         _environment().get_template(name)
 

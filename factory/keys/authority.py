@@ -72,7 +72,7 @@ def issue(
     Args:
         authority: Certificate and key of the signing authority.
         name: Name of the host.
-        role: Role of the host. Coordinators may only listen, gateways may listen and connect, others only connect.
+        role: Role of the host. Coordinators may only listen, gateways may listen and connect, all others only connect.
         addresses: Names and IP addresses at which peers reach the host. Loopback is added for roles that listen.
         days: Validity, days.
         now: Current time; validity starts five minutes earlier, because the clocks of hosts differ.

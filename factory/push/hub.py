@@ -1,8 +1,8 @@
 """Uploads to the Hugging Face Hub: creates the repository, commits files in batches, moves the tag.
 
-`huggingface_hub` is imported here only. The module does not select files. It reads the token from the locations of the
-Hub (`HF_TOKEN`, `hf auth login`) and never prints or logs it, and does not accept it as a command line argument, which
-other users of the machine can read.
+`huggingface_hub` is imported here only. The module does not select files. It reads the token from `HF_TOKEN` or the
+file that `hf auth login` writes, and never prints or logs it. The token is not accepted as a command line argument,
+because other users of the machine can read these arguments.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _library() -> ModuleType:
         from huggingface_hub.utils.tqdm import disable_progress_bars
     except ImportError as error:
         raise missing_package("huggingface_hub", "`factory push`") from error
-    disable_progress_bars()  # the command line shows its own on stderr
+    disable_progress_bars()  # `factory push` prints progress itself
     return huggingface_hub
 
 
@@ -119,7 +119,7 @@ def _commit_all(hub: ModuleType, api: Any, plan: PushPlan, repository: str, tell
 
 
 def _move_tag(hub: ModuleType, api: Any, repository: str, tag: str) -> None:
-    """Moves a tag to the latest commit: LeRobot reads the commit whose tag is its version."""
+    """Moves a tag to the latest commit. LeRobot reads the commit that is tagged with the version of its format."""
     try:
         api.delete_tag(repository, tag=tag, repo_type="dataset")
     except hub.errors.RevisionNotFoundError:

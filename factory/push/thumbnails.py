@@ -27,14 +27,14 @@ def lacks_thumbnails(root: Path) -> bool:
 
 
 def render_thumbnails(root: Path, tell: ProgressCallback) -> None:
-    """Renders the missing thumbnails of a states dataset; they equal those of a frames recording.
+    """Renders the missing thumbnails of a states dataset. They equal the thumbnails of a frames dataset.
 
     Args:
         root: Dataset directory.
-        tell: Progress callback, called with rendered thumbnails and the number of episodes.
+        tell: Progress callback, called with the number of rendered thumbnails and the number of episodes.
 
     Raises:
-        WorldError: A coordinator holds the dataset, it cannot be written, or this machine cannot render.
+        WorldError: A coordinator has locked the dataset, it cannot be written, or this machine cannot render.
         ArchiveCorrupt: A table, an episode or a scene is damaged.
     """
     dataset, done = Dataset(root), count(1)

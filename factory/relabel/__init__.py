@@ -1,1 +1,1 @@
-"""New verified instructions for an existing dataset, without driving (docs/language.md)."""
+"""Adds new verified instructions to a copy of a dataset, without new simulations (docs/language.md)."""

@@ -1,6 +1,6 @@
 """Writes the relabelled dataset: links episodes and scenes of the source, and writes the tables with new instructions.
 
-Does not write instructions. Every file is complete; `dataset_meta.json` is the last one.
+Does not compose instructions. Every file is written atomically, `dataset_meta.json` last.
 """
 
 from __future__ import annotations

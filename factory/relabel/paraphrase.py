@@ -1,6 +1,6 @@
 """Asks an OpenAI-compatible endpoint for paraphrases of sentence patterns, and keeps those that pass a check.
 
-Answers are kept in a cache file, so that no pattern is asked about twice. Writes no instruction.
+Answers are kept in a cache file, so that each pattern is sent only once. Writes no instruction.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _questions(spec: LanguageSpec) -> Iterator[_Question]:
 
 
 def _keep(source: Grammar, lines: tuple[str, ...], own: list[str], refused: Counter[str]) -> None:
-    """Adds the usable lines to the patterns of a register, and counts the others."""
+    """Adds the usable lines to the patterns of a register, and counts the unusable lines by reason."""
     existing = {each.before + each.after for each in source.sentences}
     for line in lines:
         fault = pattern_fault(source.code, line)
@@ -175,7 +175,7 @@ def _ask(endpoint: Endpoint, prompt: str) -> tuple[str, ...]:
 
 
 def _within(reply: http.client.HTTPResponse, timeout_s: float) -> bytes:
-    """Returns the body of a reply that ends within a time."""
+    """Returns the body of a reply; raises `TimeoutError` if reading it takes longer than the timeout."""
     until, parts = time.monotonic() + timeout_s, bytearray()
     while part := reply.read1(1 << 16):
         parts += part
@@ -190,7 +190,7 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
     """Refuses redirections, which would send the key to another host."""
 
     def redirect_request(self, *_: Any, **__: Any) -> None:
-        """Returns no request."""
+        """Returns `None`, so that the redirection becomes an `HTTPError`."""
 
 
 _OPENER = urllib.request.build_opener(_NoRedirects)

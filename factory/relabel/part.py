@@ -201,7 +201,7 @@ def prepared_scene(package: ScenePackage) -> SceneLanguage:
 def instructions_of(
     start: LanguageStart, scene: SceneLanguage, composer: Composer, camera: CameraConfig
 ) -> list[Instruction]:
-    """Returns the new instructions of an episode; they depend on its index and the language file only."""
+    """Returns the new instructions of an episode. Their random numbers depend on its index and the seed only."""
     seed = np.random.SeedSequence((composer.spec.seed, start.index), spawn_key=(_STREAM,))
     view = look(scene.graph, start.pose, camera)
     held_out = Split(start.split).is_paraphrased
@@ -212,7 +212,9 @@ def instructions_of(
 def rows_of(
     start: LanguageStart, found: list[Instruction], routes: Sequence[dict[str, Any]] = ()
 ) -> list[dict[str, Any]]:
-    """Returns the rows of an episode: goals and routes, or the recorded instruction if there are none; then all others.
+    """Returns the numbered rows of an episode: first its goals and routes, then all other instructions.
+
+    If the episode has neither a goal nor a route, the first row is the recorded instruction.
 
     Args:
         start: values of the episode.

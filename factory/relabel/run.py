@@ -116,7 +116,7 @@ def relabel(
         root: directory of the source.
         out: directory of the new dataset.
         spec: content of the language file.
-        workers: number of processes; 0 works in this process.
+        workers: number of processes; 0 writes all parts in this process.
         on_progress: called with the number of processed episodes and the total.
         stop: event that interrupts the work; finished parts are kept.
 
@@ -128,7 +128,7 @@ def relabel(
         WorldError: the disk is full or not available.
     """
     if spec.exchangeable:
-        fault = "exchangeable: only a plan draws the target after the start, an episode has a target: remove the key"
+        fault = "exchangeable: a plan can draw the target at the start, but an episode already has one: remove the key"
         raise InvalidLanguage("the language file has a key for plans only", [fault])
     dataset = Dataset(root)
     if not len(dataset):
@@ -226,7 +226,7 @@ def _jobs(dataset: Dataset) -> Iterator[_Job]:
 
 
 def _require_possible(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec) -> None:
-    """Raises `InvalidLanguage` if a language lacks a noun, or no target of a scene gets an instruction."""
+    """Raises `InvalidLanguage` if a category has no noun in a language, or no target of a scene gets an instruction."""
     camera = dataset.meta.plan.camera
     faults = composer_of(spec).missing_nouns([start.category for job in jobs for start in job.starts])
     for job in [] if faults or TextKind.GOAL not in spec.kinds else jobs:
@@ -256,7 +256,7 @@ def _part_file(output: Output, number: int) -> Path:
 
 
 def _other_tables(tasks: Sequence[PartTask], spec: LanguageSpec) -> dict[str, pa.Table]:
-    """Returns the tables of steps and of questions by their file name, if the language file has them."""
+    """Returns the tables of steps and of questions by file name; omits a table that the language file does not need."""
     keys: dict[str, tuple[str, ...]] = {STEPS_FILE: ("index", "number", "step")} if TextKind.ROUTE in spec.kinds else {}
     keys |= {QUESTIONS_FILE: ("index", "number")} if spec.questions else {}
     return {

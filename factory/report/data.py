@@ -77,12 +77,12 @@ class ReportInput:
         return mapped_scenes(self.meta.plan)
 
     def of(self, scene: str) -> list[EpisodeSummary]:
-        """Returns the rows of a scene or of a family."""
+        """Returns the episodes of a scene, or of all layouts of a family."""
         return [row for row in self.episodes if scene in (row.scene, family_of(row.scene))]
 
 
 def mapped_scenes(plan: Plan) -> list[str]:
-    """Returns the scenes of a plan that the report shows as maps; of a scene family, some layouts."""
+    """Returns the scenes of a plan that the report shows as maps; of a family, the first and the last layouts."""
     found: list[str] = []
     for scene in plan.scenes:
         names = [part.name for part in plan.parts if family_of(part.name) == scene.name] if scene.layouts else []

@@ -61,7 +61,8 @@ def gather(
     maps, infos = _read_scenes(root, rows, {row.scene for row in chosen})
     drives = Drives()
     if chosen:
-        for done, row in enumerate(sorted(chosen, key=lambda row: row.scene_sha256), 1):  # each scene is prepared once
+        # sorted, so that each scene is prepared once
+        for done, row in enumerate(sorted(chosen, key=lambda row: row.scene_sha256), 1):
             _read_drive(root, row, row.episode_id in shown, infos, fits, drives, rows)
             on_progress(done, len(chosen))
         drives.views.sort(key=lambda view: view.row.index)
@@ -137,8 +138,8 @@ def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, F
 def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
     """Returns up to `count` episodes, alternating between scenes, and within a scene between categories.
 
-    Within a category, it chooses the episode whose target is visible for the largest share of the steps, and
-    among equals the first. The result depends on the rows only.
+    Within a category, the episode whose target is visible for the largest share of the steps is chosen first; if
+    several shares are equal, the episode with the smallest index. The result depends on the rows only.
     """
     scenes = dict.fromkeys(row.scene for row in episodes)
     queues = [_in_turn([row for row in episodes if row.scene == scene]) for scene in scenes]
@@ -147,7 +148,7 @@ def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[Episo
 
 
 def _in_turn(episodes: Sequence[EpisodeSummary]) -> list[EpisodeSummary]:
-    """Returns the best episode of each category, then the second of each, and so on."""
+    """Returns the best episode of each category, then the second best of each category, and so on."""
     by_category: dict[str, list[EpisodeSummary]] = {}
     for row in episodes:
         by_category.setdefault(row.target_category, []).append(row)

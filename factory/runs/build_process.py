@@ -37,7 +37,7 @@ _DISK_FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 def main() -> int:
-    """Serves orders until stdin closes; returns 3 after an unexpected exception, because its state may be invalid."""
+    """Serves orders until stdin closes. Returns 3 after an unexpected exception, which may leave an invalid state."""
     faulthandler.enable()
     out, orders, is_valid = take_stdout(), listen(0), True
     try:

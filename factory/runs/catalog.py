@@ -73,7 +73,7 @@ def collect_scenes(
     only: Collection[str] | None = None,
     packages: Place | None = None,
 ) -> Catalog:
-    """Returns the scenes of a plan without checking that the fixed ones can fulfil it.
+    """Returns the scenes of a plan without checking that scenes other than layouts can fulfil it.
 
     Args:
         plan: Plan with the scenes.
@@ -81,8 +81,8 @@ def collect_scenes(
         cache: Folder in which new packages are built.
         tell: Called with the name of each scene before it is built or compiled.
         builds: Settings of the builds of layouts; `None` builds them in this process.
-        only: Names of the scenes to build or compile, if they are missing; other missing ones are omitted. `None`
-            selects all.
+        only: Names of the scenes to build or compile if they are missing. Other missing scenes are omitted from the
+            result. `None` selects all scenes.
         packages: Folder with the package of every scene, so that none is built; `None` uses `root`.
 
     Raises:
@@ -130,10 +130,11 @@ def _require_textures(catalog: Catalog) -> None:
 
 
 def scenes_before_run(plan: Plan, gates: Iterable[Plan]) -> frozenset[str] | None:
-    """Returns the scenes that are needed before a run, whose workers build the others; `None` for all.
+    """Returns the names of the scenes that are needed before a run; `None` for all. The workers build the other scenes.
 
     These are the scenes that are not layouts, the first layout of each family, which shows whether the plan is
-    possible, and the scenes of the gate. Light groups are baked before a run, so that varied light needs all scenes.
+    possible, and the scenes of the gate. A plan with varied light needs all scenes, because light groups are baked
+    before the run.
 
     Args:
         plan: Plan of the run.

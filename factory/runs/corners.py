@@ -20,11 +20,11 @@ _MOST_TARGETS = 12
 
 
 def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
-    """Returns by scene the expected share of far starts that need a corner, 0..1; omits scenes without far starts.
+    """Returns the expected share of far starts without a free straight line, 0..1, by scene.
 
-    The share is estimated from the `_MOST_TARGETS` most frequent targets of each scene. For each of these targets, all
-    surveyed points in the range of the tier are taken as equally probable starts. Conditions on the start view and
-    tests in physics are ignored.
+    Scenes without far starts are omitted. The share is estimated from the `_MOST_TARGETS` most frequent targets of each
+    scene. For each of these targets, all surveyed points in the range of the tier are taken as equally probable starts.
+    Conditions on the start view and collision tests of the start pose are ignored.
 
     Args:
         plan: Plan that its scenes support.

@@ -1,6 +1,6 @@
 """Acceptance gate of the paper: runs the first attempt at each episode of a scene and counts the successes.
 
-Attempts run in the same simulation processes as those of workers; bundles are deleted when complete. Archives nothing.
+Attempts run in simulation processes like those of workers. A bundle is deleted when it is complete; none is archived.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class GateReport(Model):
 
 
 def run_gate(run: GateRun, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
-    """Runs every job once and returns the trials; if `stop` is set, only those that have ended.
+    """Runs every job once and returns the trials; if `stop` is set, returns only the trials that have ended.
 
     Args:
         run: Jobs and settings.

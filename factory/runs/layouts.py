@@ -1,4 +1,4 @@
-"""Builds the layouts of the families of a plan in processes; a seed without a valid layout is followed by the next one.
+"""Builds the layouts of the families of a plan in processes. If a seed has no valid layout, the next seed is tried.
 
 The result depends on the plan only. Packages are kept in the cache, so that an interrupted build continues.
 """
@@ -79,7 +79,7 @@ def build_layouts(plan: Plan, names: Collection[str], cache: Path, builds: Layou
 
 
 def _require_categories(plan: Plan) -> None:
-    """Checks that the families can have the categories that the plan names. Other seeds would not add any."""
+    """Checks that the families can have the categories that the plan names. No seed adds a category to a family."""
     mistakes = []
     for number, scene in enumerate(plan.scenes):
         if scene.layouts is None:

@@ -60,7 +60,7 @@ def plan_of(site: Site) -> Plan | None:
     noted, described = _noted_plan(site.state_dir), _described_plan(site.place)
     if noted is not None and described is not None and noted.digest != described.digest:
         raise WorldError(
-            f"the ledger in {site.state_dir} is of run {noted.run}, and {META_FILE} of {site} of run {described.run}: "
+            f"the ledger in {site.state_dir} is of run {noted.run}, but {META_FILE} of {site} is of {described.run}: "
             f"restore the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
         )
     return noted or described

@@ -59,7 +59,7 @@ class LocalRun:
     root: Path
     """Dataset directory, or with `store` the local state directory."""
     workers: int
-    """Largest number of worker processes, each with one simulation; a run of fewer episodes starts one for each."""
+    """Largest number of worker processes, each with one simulation; at most one process per missing episode starts."""
     renderer: RendererKind = "auto"
     verbose: bool = False
     gate: tuple[GateOutcome, ...] = ()

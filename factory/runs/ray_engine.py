@@ -90,7 +90,7 @@ class RayCluster(Closing):
         self.restart_dead(0)
 
     def restart_dead(self, archived: int) -> None:
-        """Starts workers on new nodes, and again where they exited with an error.
+        """Starts workers on new nodes, and restarts workers that exited with an error.
 
         Args:
             archived: Number of archived episodes.
@@ -121,13 +121,13 @@ class RayCluster(Closing):
                 continue
             one = self._nodes.pop(name)
             self._ray.kill(one.actor)
-            log.warning("ray_worker_ended", node=name[:12], status=status, remedy="none; it is started again")
+            log.warning("ray_worker_ended", node=name[:12], status=status, remedy="none; the worker is restarted")
             self._deaths += isinstance(status, int)
             if self._deaths > _MOST_DEATHS:
                 raise WorldError(f"workers exited {self._deaths} times without an episode, last with status {status}")
 
     def _status_of(self, task: Any) -> int | str:
-        """Returns the exit status of a worker, or why its actor or node is lost."""
+        """Returns the exit status of a worker, or the reason why its actor or node was lost."""
         try:
             return int(self._ray.get(task))
         except self._ray.exceptions.RayError as error:
@@ -158,7 +158,7 @@ class RayCluster(Closing):
 
 
 def require_reachable(address: str | None) -> None:
-    """Checks that a server accepts connections at the address of a cluster; Ray itself tries for minutes.
+    """Checks that a server accepts connections at the address of a cluster. Ray itself retries for minutes.
 
     Args:
         address: HOST:PORT, `ray://HOST:PORT`, `auto` or `local`; `None` starts a cluster on this host.

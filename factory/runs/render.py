@@ -105,7 +105,9 @@ def prepare_rendering(
     if site.store is None:
         _require_room(dataset, site.state_dir)
     if missing := plan.episodes - len(dataset):
-        log.warning("states_missing", episodes=missing, remedy="finish the recording, or let them be simulated now")
+        log.warning(
+            "states_missing", episodes=missing, remedy="finish the recording first; otherwise these are simulated"
+        )
     if recorded is None:
         _write_tables(dataset, meta, site)
     return Rendering(plan, catalog, StatesSource(dataset), dataset)
@@ -146,7 +148,7 @@ def _require_room(dataset: Dataset, folder: Path) -> None:
 
 
 def _write_tables(dataset: Dataset, meta: DatasetMeta, site: Site) -> None:
-    """Writes the failed attempts and a description of a dataset without episodes, which name the run to resume."""
+    """Writes the table of failed attempts, and metadata without episodes, from which the run is resumed."""
     meta = meta.model_copy(update={"episodes": 0, "complete": False, "dataset_digest": None})
     attempts, described = (dataset.root / ATTEMPTS_FILE).read_bytes(), meta.model_dump_json(indent=1).encode()
     with open_archive(site.state_dir, site.store) as archive:
@@ -156,7 +158,7 @@ def _write_tables(dataset: Dataset, meta: DatasetMeta, site: Site) -> None:
 
 
 class StatesSource:
-    """Function that returns the states recording of a job, base64, or `None` if the dataset has no intact one."""
+    """Function that returns the recorded states of a job as base64, or `None` if the dataset has no intact file."""
 
     def __init__(self, dataset: Dataset) -> None:
         self._root = dataset.root
@@ -179,7 +181,7 @@ class StatesSource:
         if hashlib.sha256(data).digest() != sha256:
             return _refuse(job, f"{path} differs from the SHA-256 in the metadata")
         text = base64.b64encode(data).decode()
-        return text if len(text) <= MAX_STATES_CHARS else _refuse(job, f"{path} is larger than a message")
+        return text if len(text) <= MAX_STATES_CHARS else _refuse(job, f"{path} is too large for a message")
 
 
 def _refuse(job: Job, reason: str) -> str | None:

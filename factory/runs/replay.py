@@ -44,7 +44,7 @@ class Replay:
 def replay_episode(
     root: Place, episode: FilePlace, renderer: RendererKind, on_step: Callable[[int, int], None]
 ) -> Replay:
-    """Simulates the job of an archived episode again; renders in a separate process, so that any program can call it.
+    """Simulates the job of an archived episode again. Renders in a separate process, so that any program can call this.
 
     Args:
         root: Location of the dataset.

@@ -44,8 +44,7 @@ def package_path(
     targets: TargetList | None = None,
     called: str | None = None,
 ) -> Path:
-    """Returns the cache path of the package of a built-in scene. The file may not exist yet. Arguments as for
-    `build_scene`.
+    """Returns the cache path of the package of a built-in scene, which may not exist yet; arguments: see `build_scene`.
 
     Raises:
         UsageError: `name` is not a built-in scene.
@@ -131,7 +130,7 @@ def _write_layout(path: Path, scene: CompiledScene) -> None:
 def _compile_builtin(
     name: str, seed: int, called: str | None, rules: RuleBook | None, targets: TargetList | None, cache: Path
 ) -> CompiledScene:
-    """Compiles a layout; those of the paper from USD files, because their packages record digests of these files."""
+    """Compiles a layout. The paper's layouts are read from USD files, whose digests their packages record."""
     from factory.scenes.author.drawn import DrawnTextures  # only now: most scenes are cached
     from factory.scenes.compile.compiler import compile_extraction, compile_stage
     from factory.scenes.light import LAYOUT_DETAIL
@@ -162,7 +161,7 @@ def _is_paper(name: str, seed: int, called: str | None) -> bool:
 
 
 def rules_of(name: str) -> RuleBook:
-    """Returns the rules of a built-in scene: of the paper's categories, or of the categories of a family."""
+    """Returns the rules of a built-in scene, for the paper's categories or for the categories of a family."""
     seen, held_out = BUILTIN_CATEGORIES[name]
     return builtin_rules().only(CATEGORIES if name in PAPER_SCENES else {*seen, *held_out})
 

@@ -29,9 +29,9 @@ class StageLimits:
     ceiling_m: float | None = None
     """Height above the floor of a flat ceiling that is added over the stage, metres; `None` adds none."""
     unit: Unit | None = None
-    """Unit of a 3D file, by name or in metres; `None` is the unit that it states."""
+    """Unit of a 3D file, by name or in metres; `None` uses the unit that the file states."""
     up: UpAxis | None = None
-    """Up axis of a 3D file; `None` is the axis that it states."""
+    """Up axis of a 3D file; `None` uses the axis that the file states."""
     models: tuple[Path, ...] = ()
     """Folders in which `model://` and `package://` names are searched."""
     max_file_mb: int = MAX_FILE_MB

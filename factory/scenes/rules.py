@@ -45,7 +45,7 @@ class CategoryRule(Model):
     """Rule that assigns a category to prims by name, size, shape and colour."""
 
     category: Name
-    """Category that the rule assigns; several rules may assign one."""
+    """Category that the rule assigns; several rules may assign the same category."""
     words: tuple[Pattern, ...] = ()
     """Names and synonyms; each matches as whole words of the split name, in singular or plural."""
     include: tuple[Pattern, ...] = ()
@@ -59,9 +59,9 @@ class CategoryRule(Model):
     height_m: tuple[NonNegative, Positive] = (0.0, 40.0)
     """Plausible vertical extents, from and to, metres."""
     thickest_m: Positive | None = None
-    """Maximum plausible width of the footprint at any rotation, metres; for thin panels. `None` is any width."""
+    """Maximum plausible width of the footprint at any rotation, metres; for thin panels. `None` permits any width."""
     colours: tuple[Colour, ...] = ()
-    """Plausible dominant colours; empty is any colour."""
+    """Plausible dominant colours; empty permits any colour."""
     has_colour: bool = True
     """Whether instructions may name the colour. False for racks and monitors, which show colours of their content."""
 

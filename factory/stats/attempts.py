@@ -1,7 +1,7 @@
 """Counts attempts: success, collision and timeout by scene and tier, and the attempts of each cell of the plan.
 
-Counts successes and failures of the task as attempts. Counts other failures, such as crashes and expired leases, by
-reason only.
+An attempt counts if it ended with success or a failure of the task. Other failures, such as crashes and expired leases,
+are counted by reason only.
 Pure functions; no I/O.
 """
 
@@ -26,7 +26,7 @@ _TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_tas
 def attempt_rows(
     episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt], scenes: Iterable[str]
 ) -> tuple[AttemptRow, ...]:
-    """Returns one row for each scene, tier, and scene and tier, and one row for all attempts."""
+    """Returns one row for all attempts, and rows by scene, by tier, and by scene and tier."""
     names = list(scenes)
     kinds: list[tuple[Iterable[str], Callable[[AttemptSummary], str]]] = [
         (names, lambda row: family_of(row.scene)),

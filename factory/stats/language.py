@@ -23,7 +23,7 @@ from schemas.language.sentence.grammar import LANGUAGES
 
 @dataclass(frozen=True)
 class EpisodeView:
-    """Objects that the instruction of an episode fits, and those in view."""
+    """Objects that the instruction of an episode fits, and objects in view."""
 
     row: EpisodeSummary
     target: int
@@ -135,7 +135,7 @@ def _smallness(seen: SeenObject) -> float:
 
 
 def _alike(view: EpisodeView) -> list[SeenObject]:
-    """Returns the objects in view of the target's category, or in view and in `choices` if that is not empty."""
+    """Returns the objects in view that are in `choices` or, if it is empty, have the target's category."""
     return [each for each in view.seen if each.id in (view.choices or view.of_category)]
 
 

@@ -168,7 +168,7 @@ def _compare_with_plan(rows: Rows) -> None:
 
 
 def _compare_with_shared_instances(rows: Rows) -> None:
-    """Adds remarks on categories that training and evaluation share, and on instances shared against the plan."""
+    """Adds remarks on categories that training and evaluation share, and on instances shared contrary to the plan."""
     shared = rows.meta.shared_instances
     if shared is None:
         return
@@ -184,7 +184,7 @@ def _compare_with_shared_instances(rows: Rows) -> None:
     both = [" ".join(key) for key in sorted(train & evaluation)]
     if both:
         rows.add_damage(
-            METADATA_FILE, f"{len(both)} instances are in training and evaluation, against the plan: {_some(both)}"
+            METADATA_FILE, f"{len(both)} instances are in training and evaluation, contrary to the plan: {_some(both)}"
         )
 
 

@@ -81,9 +81,9 @@ class SlurmJob:
     partition: str | None = None
     """Partition of the tasks; `None` for the default partition."""
     setup: tuple[str, ...] = ()
-    """Shell lines before each command, such as `module load python`."""
+    """Shell lines that run before each command, such as `module load python`."""
     factory: tuple[str, ...] = ("factory",)
-    """Command that starts the command line."""
+    """Command that starts `factory`."""
     has_local_ledgers: bool = False
     """Whether ledgers are on the local disks of the nodes, because SQLite cannot use the file system of `run`."""
 

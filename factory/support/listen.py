@@ -24,7 +24,7 @@ def require_loopback(endpoints: Sequence[str]) -> None:
 
 
 def require_endpoints(endpoints: Sequence[str], *, with_tls: bool) -> None:
-    """Raises an error unless every endpoint has the form tcp/HOST:PORT, or tls/HOST:PORT with certificates, or @FILE.
+    """Raises an error unless every endpoint is @FILE or has the form tcp/HOST:PORT, or tls/HOST:PORT if `with_tls`.
 
     Raises:
         UsageError: An endpoint is malformed, or its protocol does not match `with_tls`.

@@ -44,8 +44,8 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
         size: Side of the pictures, pixels.
         hold: Steps between two selected frames.
         root: Folder of the caches.
-        tell: Progress callback, called with decoded and total episodes, and with 0 while another training decodes
-            them; may raise to cancel.
+        tell: Progress callback, called with the number of decoded episodes and the total; the number stays 0 while
+            another training decodes them. May raise to cancel.
 
     Raises:
         UsageError: The dataset has no episodes, or they were recorded with different rates, cameras or robots.

@@ -42,7 +42,7 @@ class CacheKey(Model):
 
 
 class LabelledEpisode(Model):
-    """Episode with its rows of the training: `frames` rows, starting at row `first`."""
+    """Episode and its rows in the arrays of the training: `frames` rows, starting at row `first`."""
 
     episode_id: str
     instruction: str
@@ -91,7 +91,7 @@ class Pictures(NamedTuple):
         return Pictures(np.asarray(self.rgb[rows]), np.asarray(self.depth[rows]), np.asarray(self.mask[rows]))
 
     def copy_row(self, row: int, source: Pictures, source_row: int) -> None:
-        """Copies a row of other pictures into a row."""
+        """Copies a row of other pictures into a row of these."""
         self.rgb[row], self.depth[row] = source.rgb[source_row], source.depth[source_row]
         self.mask[row] = source.mask[source_row]
 

@@ -23,7 +23,7 @@ class BcOptions(Model):
     ablate_language: bool = False
     """Whether every instruction is replaced by one constant token."""
     positions: Annotated[bool, Field(exclude_if=lambda it: not it)] = False
-    """Whether the features that locate the target include their position in the image; not stored if false."""
+    """Whether the features that locate the target include their position in the image; the key is omitted if false."""
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     size: int = 128

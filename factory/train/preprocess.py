@@ -1,6 +1,6 @@
 """Converts frames to network input: downscaled colour and depth; augments training batches with matching labels.
 
-Pure; cache and policy get identical bytes, and `augment` takes the random generator.
+Pure functions, which the cache and the policy share, so that equal frames give identical input in training and driving.
 """
 
 from __future__ import annotations
@@ -119,6 +119,6 @@ def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:
 
 
 def _shorten(nearness: NDArray[np.float32], share: float) -> NDArray[np.float32]:
-    """Returns the nearness of depths scaled by `share`; `preprocess.to_input` takes logarithms."""
+    """Returns the nearness after scaling the depths by `share`: a shift, because nearness is logarithmic."""
     shortened: NDArray[np.float32] = np.clip(nearness - np.float32(2 * np.log(share) / np.log(100.0)), -1, 1)
     return shortened

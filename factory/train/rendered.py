@@ -22,7 +22,8 @@ def render_frames(
         size: Side of the pictures, pixels.
         hold: Steps between two selected frames.
         antialias: Samples per pixel along each axis; `None` gives the same pictures as stored frames.
-        memory_bytes: Memory for rendered pictures; the first rows that fit are rendered once, the others in each epoch.
+        memory_bytes: Memory for rendered pictures. The first rows, which fit into it, are rendered once; the others are
+            rendered in each epoch.
         tell: Progress callback, called with labelled and total episodes; may raise to cancel.
 
     Raises:

@@ -54,7 +54,7 @@ class TrainOrder:
     split: Split = Split.TRAIN_ID
     device: str = "auto"
     minutes: float | None = None
-    """Time limit, minutes: no epoch starts that would end later. `None` means no limit."""
+    """Time limit, minutes: an epoch that would end later is not started. `None` means no limit."""
     memory_bytes: int = 2_000_000_000
     """Memory for the rendered frames of each split of a states dataset; does not change the result."""
 
@@ -64,9 +64,9 @@ class TrainCallbacks:
     """Callbacks of a training."""
 
     caching: Callable[[int, int], None]
-    """Called with decoded (of a states dataset: labelled) and total episodes."""
+    """Called with the number of decoded episodes (of a states dataset: labelled episodes) and the total."""
     learning: Callable[[int, int, int, float], None]
-    """Called with finished epochs, finished and total batches of the current epoch, and its mean loss."""
+    """Called with the number of finished epochs, the finished and total batches of the current epoch, and its loss."""
     measured: Callable[[EpochMeasures], None]
     is_stopped: Callable[[], bool]
 

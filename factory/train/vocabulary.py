@@ -38,7 +38,7 @@ def split_words(text: str) -> list[str]:
 
 
 def vocabulary(instructions: Iterable[str] = ()) -> tuple[str, ...]:
-    """Returns the words by index: the special ones first, the others in alphabetical order.
+    """Returns the words by index: first the special words, then the others in alphabetical order.
 
     Args:
         instructions: Instructions of the training data; imported scenes can add categories and colours. If one of two

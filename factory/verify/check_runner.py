@@ -28,7 +28,7 @@ def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterato
 
     Args:
         checks: Checks, read as they are needed.
-        processes: Number of processes; 1 runs in the calling process. `None`: as many as `useful_processes` returns.
+        processes: Number of processes; 1 runs in the calling process. `None` uses the result of `useful_processes`.
     """
     batch = list(islice(checks, _ROWS_AT_A_TIME))
     count = min(useful_processes(batch, os.cpu_count() or 1) if processes is None else processes, len(batch))
@@ -43,7 +43,7 @@ def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterato
 
 
 def useful_processes(checks: Sequence[EpisodeCheck], cores: int) -> int:
-    """Returns how many processes finish the checks soonest; at most one per core.
+    """Returns the number of processes that finish the checks soonest; at most one per core.
 
     Each episode that is rendered again justifies a process, because rendering it takes seconds.
     """

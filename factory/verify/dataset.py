@@ -75,8 +75,8 @@ def verify(
         root: Location of the dataset.
         deep: Whether to check the content of the episodes.
         on_progress: Called with the number of checked episodes and the total.
-        processes: Number of processes that check episodes; 1 runs in the calling process. `None`: at most one per core,
-            and only as many as check the episodes sooner.
+        processes: Number of processes that check episodes; 1 runs in the calling process. `None` chooses the fastest
+            number, at most one per core.
         render: Number of episodes, evenly spread, whose frames are rendered again and compared with their digests.
         reference: Frames recording of the same episodes, with which rendered frames of a states recording are compared.
 
@@ -196,9 +196,10 @@ def _check_listing(root: Place, names: Collection[str], report: VerifyReport) ->
 def _check_tables(dataset: Dataset, report: VerifyReport) -> None:
     meta = dataset.meta
     if meta.plan.digest != meta.plan_digest:
-        report.add(Kind.CONTRADICTION, META_FILE, f"plan digest {meta.plan_digest}, its plan has {meta.plan.digest}")
+        text = f"plan digest {meta.plan_digest}, but the digest of its plan is {meta.plan.digest}"
+        report.add(Kind.CONTRADICTION, META_FILE, text)
     if meta.complete and meta.dataset_digest != report.digest:
-        text = f"dataset digest {meta.dataset_digest}, {METADATA_FILE} gives {report.digest}"
+        text = f"dataset digest {meta.dataset_digest}, but the digest computed from {METADATA_FILE} is {report.digest}"
         report.add(Kind.CONTRADICTION, META_FILE, text)
     try:
         attempts = sum(map(len, _batches(dataset.root / ATTEMPTS_FILE)))
@@ -223,7 +224,10 @@ def _batches(path: Place) -> Iterator[pa.RecordBatch]:
 
 
 def _check_split_tables(dataset: Dataset, report: VerifyReport) -> None:
-    """Compares the split tables with `metadata.parquet` once the run is complete; optional if the card lists none."""
+    """Compares the split tables with `metadata.parquet`; in an unfinished run, they may be missing or outdated.
+
+    A dataset whose card lists no split tables may have none.
+    """
     try:
         card = (dataset.root / CARD_FILE).read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -262,7 +266,7 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
 
 
 def _check_textures(root: Place, scenes: Iterable[SceneEntry], report: VerifyReport, *, are_all: bool) -> None:
-    """Compares the files of the textures that scenes share with their digests, each once."""
+    """Compares each file of a texture, which several scenes may share, once with its digest."""
     needed = {f"{SCENES}/{texture_file(sha256)}": sha256 for scene in scenes for sha256 in scene.textures}
     present = {f"{SCENES}/{TEXTURES}/{place.name}": place for place in children(root / SCENES / TEXTURES)}
     for file in sorted(needed.keys() | present.keys()):
@@ -272,7 +276,7 @@ def _check_textures(root: Place, scenes: Iterable[SceneEntry], report: VerifyRep
             sha256 = digest_of(present[file])
             if sha256 != needed[file]:
                 report.add(Kind.DAMAGED, file, f"SHA-256 {sha256}; restore it with `factory repair`")
-        elif are_all:  # otherwise a package that cannot be read may need it
+        elif are_all:  # if a package is unreadable, it is unknown which textures it needs
             report.add(Kind.FOREIGN, file, "no scene of the dataset needs it")
 
 

@@ -74,7 +74,10 @@ def compare_rendered(
 
 
 def _sensor_findings(bundle: EpisodeBundle) -> list[str]:
-    """Measures the stored sensors again: those of motion over the episode, others before each sampled step."""
+    """Measures the stored sensors again, and returns the differences as findings.
+
+    Motion sensors are compared over the whole episode; of the other sensors, the last sample up to each sampled step.
+    """
     rig = bundle.meta.job.view.rig if bundle.has_sensors else None
     sampled = bundle.meta.job.sampled_steps(bundle.length)
     found = []

@@ -74,7 +74,7 @@ def inspect_dataset(
 def _settle_plan(
     root: Place, noted: _Record | None, described: _Record | None, plan: Plan | None
 ) -> tuple[_Record | None, str]:
-    """Returns the record of the run, and the reason why the ledger belongs to another run, if it does.
+    """Returns the record of the run and, if the ledger belongs to another run, a message that says so.
 
     The ledger, `dataset_meta.json` and the user can name different plans; the plan of most episodes is used.
     """
@@ -140,7 +140,10 @@ def _kept(path: Place, sha256: str) -> SceneEntry | str:
 
 
 def _lacking_textures(root: Place, kept: Mapping[str, SceneEntry]) -> dict[str, str]:
-    """Returns scenes whose builds give all missing and damaged textures, with the reasons; layouts share textures."""
+    """Returns scenes to build so that all missing and damaged textures are created again, each with the reason.
+
+    Layouts share textures, so that not every scene that uses a missing texture must be built.
+    """
     faults: dict[str, str] = {}
     for sha256 in dict.fromkeys(texture for entry in kept.values() for texture in entry.textures):
         place = root / SCENES / texture_file(sha256)

@@ -28,7 +28,7 @@ class FloorMap:
     low: Outlines
     """Outlines of all obstacles."""
     wall: Outlines
-    """Outlines of the obstacles that occlude."""
+    """Outlines of the obstacles that occlude the view."""
     surveyed_m: NDArray[np.float32]
     """(S, 2) surveyed spawn points, metres."""
     targets_m: NDArray[np.float64]

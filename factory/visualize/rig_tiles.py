@@ -38,7 +38,7 @@ def show_flow(flow: NDArray[np.float32]) -> Rgb:
 
 
 def show_scan(scan: LidarScan, lidar: Lidar2d | Lidar3d, target: int, size: int) -> Image.Image:
-    """Returns a picture of the returns from above, x of base_link up, in the colours of their instances.
+    """Draws the points that a lidar measured, seen from above, x of base_link up, in the colours of their instances.
 
     Args:
         scan: scan of the lidar.

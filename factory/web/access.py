@@ -16,7 +16,7 @@ class Access:
     token: str
     """Secret of this server; requests with it may change flags, notes and jobs."""
     reads_openly: bool
-    """Whether requests without the token may read; true on loopback only."""
+    """Whether requests without the token may read: on loopback, or if clients need a certificate."""
 
     @property
     def session(self) -> str:
@@ -29,7 +29,7 @@ class Access:
         return self._derived("form")
 
     def is_token(self, text: str) -> bool:
-        """Returns whether a text is the token; takes the same time for every text."""
+        """Returns whether a text is the token, in constant time."""
         return _equal(text, self.token)
 
     def is_bearer(self, authorization: str) -> bool:
@@ -49,7 +49,7 @@ class Access:
 
 
 def is_same_origin(headers: Mapping[str, str]) -> bool:
-    """Returns whether a request that changes something was sent by a page of this server, or by no page.
+    """Returns whether a request with a change was sent by a page of this server or by a program other than a browser.
 
     Args:
         headers: headers of the request by lower-case name.

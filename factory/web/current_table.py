@@ -24,8 +24,8 @@ class CurrentTable:
     Args:
         read: function that reads the dataset.
         version: function that returns a value that changes with the files; `None` if that is unknown.
-        pause_s: minimum time between two checks, seconds. After a reading, the pause is longer by fifty times its CPU
-            time.
+        pause_s: minimum time between two checks, seconds. Each time the files are read, the next pause is longer by
+            fifty times the CPU time of the reading.
         clock: function that returns the time, seconds.
     """
 

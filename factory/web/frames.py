@@ -52,7 +52,7 @@ class FrameKey(NamedTuple):
 
 
 def first_frames(scenes: Sequence[str], episodes: Sequence[str]) -> list[FrameKey]:
-    """Returns the first frame of one episode for each of the first scenes, for at most as many scenes as stay prepared.
+    """Returns frame 0 of the first episode of each scene, for at most the `KEPT_SCENES` scenes that stay prepared.
 
     Args:
         scenes: scene of each episode.
@@ -144,8 +144,8 @@ class FrameStore:
     def prepare(self, keys: Sequence[FrameKey]) -> None:
         """Renders images in the background, one after another, so that the renderer and their scenes are prepared.
 
-        Does nothing while an earlier call is at work, and for episodes that store frames. Ignores errors, which a later
-        request for the image reports.
+        Does nothing while an earlier call runs, and for episodes that store frames. Ignores errors; a later request for
+        the image reports them.
         """
         with self._lock:
             if self._prepared is None or self._prepared.done():

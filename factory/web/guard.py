@@ -66,7 +66,7 @@ class RequestGuard:
         return await answer(scope, receive, send_safely)
 
     def _identify(self, scope: Scope, headers: Headers) -> None:
-        """Notes in the scope whether the request may change anything, and whether a form key is required."""
+        """Records in the scope whether the request may change anything, and whether a form key is required."""
         authorization = headers.get("authorization", "")
         cookie = cookie_parser(headers.get("cookie", "")).get(cookie_name(scope), "")
         scope["may_change"] = self._access.is_authorised(cookie, authorization)
@@ -81,7 +81,7 @@ class RequestGuard:
             return _plain(414, f"the query is longer than {MOST_QUERY_BYTES} bytes")
         host = headers.get("host", "")
         if not is_own_name(host, self._address):
-            return _plain(421, f"this server does not serve {host[:80]}: use its own address")
+            return _plain(421, f"{host[:80]!r} is not an address of this server: use the URL that it prints at start")
         return self._refused_change(scope, headers) if method == "POST" else self._refused_read(scope, path)
 
     def _refused_change(self, scope: Scope, headers: Headers) -> Response | None:

@@ -16,14 +16,14 @@ _SEND_S = 10.0
 """Timeout of one event for one tab, seconds; a slower tab is disconnected and reconnects."""
 _MOST_TABS = 300
 _SHARE = 50
-"""Least ratio of the pause after a call to its CPU time: the poller uses at most 2 % of a core."""
+"""Least ratio of the pause after a call to the CPU time of the call: the poller uses at most 2 % of a core."""
 
 
 class LiveFeed:
     """Text that is computed repeatedly while a tab listens, and sent when it has changed.
 
     Args:
-        compute: function that returns the current fragment; called in a thread, never twice at a time.
+        compute: function that returns the current fragment; called in a thread, by one thread at a time.
         pause_s: minimum time between two calls, seconds.
         forget: function that is called before the last call, so that the last fragment is current even if `compute`
             shares its result with others.
@@ -40,7 +40,7 @@ class LiveFeed:
         self._poller: asyncio.Task[None] | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI application: sends events until the tab closes, or until the server closes, after a last event."""
+        """ASGI application: sends events until the tab closes. When the server closes, it sends a last event."""
         if self._tabs >= _MOST_TABS:
             await send({"type": "http.response.start", "status": 503, "headers": [(b"retry-after", b"30")]})
             await send({"type": "http.response.body", "body": b"too many open tabs\n"})

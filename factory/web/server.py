@@ -92,7 +92,7 @@ def closing_of(scope: Scope) -> asyncio.Event:
 
 
 class _Server(uvicorn.Server):
-    """Server that announces to open replies that it closes."""
+    """Server that informs the open replies when it begins to close."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)

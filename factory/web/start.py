@@ -35,7 +35,7 @@ from schemas.protocol.administration import AdminReply, AdminRequest
 _FARM_AGE_S = 3.0
 """Greatest age of the shown state of a run, seconds."""
 _READ_AHEAD = 1000
-"""Number of first episodes whose scenes are prepared, up to the number of scenes that stay prepared."""
+"""Number of episodes at the beginning of the dataset that are searched for different scenes to prepare."""
 
 
 @contextmanager
@@ -56,7 +56,7 @@ def serve(
     Args:
         site: location of the dataset.
         http: HOST:PORT to serve on.
-        token: token that every request requires; `None` chooses one, which only changes require on loopback.
+        token: token that every request requires; `None` generates a token that only requests with changes require.
         tls: TLS folder of this host; clients need a certificate of the same authority. `None` serves plain HTTP.
         ledger: URL of the ledger; `None` for the ledger of the dataset.
         administer: function that executes an admin request; `None` asks the running coordinator of the dataset, or
@@ -111,7 +111,7 @@ def make_context(
 
 
 def _prepare(context: WebContext, renders_ahead: bool) -> None:
-    """Compiles templates and statements and reads the tables before the first requests, which report errors."""
+    """Compiles templates and statements and reads the tables before the first requests; these report any error."""
     with contextlib.suppress(FactoryError):
         dataset = context.workspace.dataset()
         if renders_ahead and not context.workspace.is_written():

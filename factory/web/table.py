@@ -92,14 +92,14 @@ def parse_query(given: Mapping[str, str]) -> TableQuery:
 
 
 def page_number(given: Mapping[str, str]) -> int:
-    """Returns the number of the page in the query of a URL, from 0.
+    """Returns the number of the page in the query of a URL; the first page has the number 0.
 
     Raises:
-        UsageError: the value is not a number.
+        UsageError: the value is not a page number.
     """
     page = given.get("page") or "0"
     if not page.isascii() or not page.isdigit() or len(page) > 9:
-        raise UsageError(f"page={page[:40]!r} is not a number from 0")
+        raise UsageError(f"page={page[:40]!r} is not a page number; valid numbers: 0, 1, 2, ...")
     return int(page)
 
 

@@ -46,7 +46,7 @@ def run(tmp_path: Path) -> ArchivedRun:
 
 
 def start(run: ArchivedRun) -> None:
-    """Starts a coordinator on the dataset and ends it."""
+    """Starts a coordinator on the dataset and stops it."""
     with Coordinator(
         run.root, run.plan, run.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=SETTINGS)
     ):
@@ -203,7 +203,7 @@ def test_a_ledger_of_another_plan_is_named_at_the_start_and_set_aside_by_repair(
     other = ArchivedRun(tmp_path / "other", planned=5, done=2)
     shutil.copy(other.root / "ledger.db", ledger(run))
     files, site = run.digests(), site_of(str(run.root))
-    with pytest.raises(WorldError, match=r"is of run room-\w+, and dataset_meta.json of .*`factory repair"):
+    with pytest.raises(WorldError, match=r"is of run room-\w+, but dataset_meta.json of .*`factory repair"):
         plan_of(site)
     repair_input = dataclasses.replace(run.repair_input(), foreign_ledger="is of another run")
     report = repair(repair_input, validator, run.timed_ledger.now, apply=True)
@@ -246,7 +246,7 @@ def test_repair_restores_intact_episodes_from_quarantine(run, validator):
     bad = bytearray(run.file(2).read_bytes())
     bad[len(bad) // 2] ^= 1
     (run.root / "quarantine" / "ep_000002.zip.00000000").write_bytes(bad)
-    start(run)  # as left by a coordinator without this feature: two episodes queued again
+    start(run)  # queues two episodes again, as older coordinators did after such a move
     assert run.states() == {1: "pending", 2: "archived", 3: "pending"}
     report = repair(run.repair_input(), validator, run.timed_ledger.now, apply=True)
     assert [str(action.kind) for action in report.actions if action.what.startswith("quarantine")] == ["restore"] * 2

@@ -49,7 +49,7 @@ class ReaderCost(Model):
     episodes_per_s: float
     """Random episodes per second of wall time: row, metadata, arrays and instances."""
     episodes_per_cpu_s: float
-    """The same per second of CPU time."""
+    """Random episodes per second of CPU time."""
     memory: Memory
     """Memory after these episodes."""
     digest_s: float

@@ -83,7 +83,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
         root: dataset, which may be running.
         repeats: number of timed requests of each page.
         tabs: number of open farm pages.
-        seconds: time for which the pages are open, seconds; the idle server is measured for the same time.
+        seconds: time for which the pages are open, seconds; before that, the idle server is measured for as long.
 
     Raises:
         WorldError: the server does not start.
@@ -177,7 +177,7 @@ def _play(host: str, pid: int, dataset: Dataset, name: str) -> tuple[float, floa
 
 
 def open_tab(host: str, stack: ExitStack) -> None:
-    """Opens the live updates of a farm page until the stack closes."""
+    """Opens the stream of live updates of a farm page; closing the stack closes the stream."""
     name, _, port = host.rpartition(":")
     tab = stack.enter_context(socket.create_connection((name, int(port)), timeout=60))
     tab.sendall(b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n")

@@ -1,8 +1,8 @@
 """Generates the dataset of a finished run from a few recorded episodes: ledger, shards, tables. Simulates nothing.
 
-The episodes repeat the recorded ones under the jobs of the plan, with other poses, so that no two files are equal. Each
-twentieth episode has a failed attempt. Files, sizes and tables are like those of a run. The content digests are
-wrong and the motion does not lead to the targets, so that `factory verify --deep` reports the episodes.
+Each episode is a copy of a recorded episode, with the job of a planned episode and slightly shifted poses, so that no
+two files are equal. Every twentieth episode has a failed attempt. Files, sizes and tables are like those of a run. The
+content digests are wrong and the motion does not lead to the targets, so that `factory verify --deep` reports errors.
 """
 
 from __future__ import annotations
@@ -65,18 +65,18 @@ class _Recorded(NamedTuple):
     meta: EpisodeMeta
     arrays: EpisodeArrays
     row: EpisodeSummary
-    """Its row."""
+    """Row of the episode in the metadata table."""
     text: bytes
-    """Its `meta.json` after the job."""
+    """JSON text of the fields that follow the job in its `meta.json`."""
 
 
 class _Made(NamedTuple):
     """Generated episode."""
 
     data: bytes
-    """Content of its file."""
+    """Content of its bundle."""
     row: EpisodeSummary
-    """Its row."""
+    """Row of the episode in the metadata table."""
 
 
 def make_synthetic(

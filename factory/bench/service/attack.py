@@ -16,7 +16,7 @@ _SLOW = (b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n", b"GET / HT", b"POST /
 
 
 def hostile_requests(host: str) -> tuple[bytes, ...]:
-    """Returns requests without token, from another site, with a wrong host, for other files, and malformed ones."""
+    """Returns malformed requests, and requests without token, from other sites, to a wrong host, or for other files."""
     texts = (
         f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nContent-Length: 17\r\n\r\nall=1&confirm=1&k",
         f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nOrigin: http://evil.example\r\nContent-Length: 0\r\n\r\n",
@@ -58,7 +58,7 @@ def read_to_the_end(tab: socket.socket) -> None:
     try:
         tab.shutdown(socket.SHUT_WR)
     except OSError as error:
-        if error.errno != errno.ENOTCONN:  # a reset that arrived before; Python has no subclass of OSError for it
+        if error.errno != errno.ENOTCONN:  # the connection was reset earlier; Python raises a plain OSError
             raise
         raise ConnectionResetError(*error.args) from error
     while tab.recv(1 << 16):
@@ -67,7 +67,7 @@ def read_to_the_end(tab: socket.socket) -> None:
 
 @contextmanager
 def slow_clients(host: str, count: int) -> Iterator[None]:
-    """Keeps connections open that send half a request or never read the reply."""
+    """Keeps connections open whose clients send half a request or never read the reply."""
     with ExitStack() as stack:
         for number in range(count):
             stack.enter_context(_connect(host)).sendall(_SLOW[number % len(_SLOW)])

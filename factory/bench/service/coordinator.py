@@ -152,7 +152,7 @@ def _validate(samples: Sequence[BenchSample], repeats: int) -> list[float]:
 
 
 def _validate_together(samples: Sequence[BenchSample], pullers: int, repeats: int) -> list[float]:
-    """Returns the frames per second of several validating processes, each with every sample."""
+    """Returns the total frames per second of several processes, each of which validates all samples."""
     with Validator(pullers) as validator, ThreadPoolExecutor(pullers) as pool:
 
         def check_all() -> int:

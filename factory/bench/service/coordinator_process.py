@@ -84,7 +84,7 @@ def serve_coordinator(
         root: Directory of the dataset; its ledger may already contain jobs.
         plan: Plan of the ledger.
         catalog: Scenes of the plan.
-        meta: Episode metadata that are used for every bundle.
+        meta: Episode metadata, used for every bundle.
         sha256: SHA-256 of every bundle.
         size: Size of every bundle, bytes.
     """
@@ -96,7 +96,7 @@ def serve_coordinator(
 def serve_archive(
     pipe: Connection, root: Path, plan: Plan, catalog: Catalog, settings: CoordinatorSettings, sample: BenchSample
 ) -> None:
-    """Opens a coordinator whose validating processes are started, and replies as `serve_coordinator` does.
+    """Opens a coordinator, starts its validating processes, and replies to messages as `serve_coordinator` does.
 
     Args:
         pipe: Pipe to the benchmark.

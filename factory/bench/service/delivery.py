@@ -1,4 +1,4 @@
-"""Benchmarks the archive of a coordinator: valid bundles per second and per core, by pullers and spot checks.
+"""Measures how many valid bundles a coordinator archives, for several shares of spot checks.
 
 Each variant starts a coordinator on a new ledger and a process of simulated workers. Simulates no episodes.
 """
@@ -30,7 +30,7 @@ _WAITING = 512
 _WAITING_BYTES = 1 << 30
 """Largest total size of these bundles, bytes."""
 _READY_BYTES = 1 << 29
-"""Largest total size of the bundles that are made before the measurement, bytes; otherwise all are made during it."""
+"""If the bundles have a larger total size, bytes, they are made during the measurement instead of before it."""
 
 
 def bench_delivery(
@@ -48,8 +48,8 @@ def bench_delivery(
     """Archives copies of recorded episodes and returns the measurements.
 
     A measurement includes claims, announcements, heartbeats, transfer, validation, fsyncs and ledger. It excludes the
-    tables of the dataset and the log, and the CPU time excludes that of the simulated workers. Before it, each worker
-    delivers one bundle, because the first bundle of a host is validated completely.
+    tables of the dataset and the log, and the CPU time excludes that of the simulated workers. Before the measurement,
+    each worker delivers one bundle, because the coordinator validates the first bundle of a host completely.
 
     Args:
         plan: Plan of the samples.
@@ -120,7 +120,7 @@ def _archive_copies(
 
 
 def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[RecordedBundle]) -> None:
-    """Creates a ledger whose jobs repeat those of the recordings in turn."""
+    """Creates a ledger whose jobs are copies of the jobs of the recordings, in turn."""
     root.mkdir()
     engine = open_writer(ledger_url_of(root))
     open_run(engine, plan, catalog, _LEASE_S, datetime.now(UTC), _planned(plan, recordings))

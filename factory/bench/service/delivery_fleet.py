@@ -52,11 +52,11 @@ class RecordedBundle:
 
 
 class BundleCopies:
-    """Copies of recorded bundles by job; those of known jobs are made before the measurement.
+    """Copies of recorded bundles by job; copies for jobs that are known in advance are made at construction.
 
     Args:
         recordings: Recorded bundles, which the jobs use in turns by episode number.
-        jobs: Jobs whose bundles are made now; the others are made when they are claimed.
+        jobs: Jobs whose bundles are made now; the bundle of any other job is made when the job is claimed.
     """
 
     def __init__(self, recordings: Sequence[RecordedBundle], jobs: Sequence[Job] = ()) -> None:
@@ -104,7 +104,7 @@ class DeliveringWorker(BenchWorker):
         while self._deliver_next():
             while len(self._waiting) >= self._at_once:
                 self._drop_archived(_HURRIED_S)
-            if 2 * len(self._waiting) >= self._at_once:  # like a worker whose spool fills up
+            if 2 * len(self._waiting) >= self._at_once:  # as a worker does whose spool fills up
                 self._drop_archived(_HURRIED_S, waits=False)
             else:
                 self._drop_archived(_BEAT_S, waits=False)
@@ -126,7 +126,7 @@ class DeliveringWorker(BenchWorker):
             self._drop_archived(_HURRIED_S)
 
     def _drop_archived(self, pause_s: float, *, waits: bool = True) -> None:
-        """Sends a heartbeat and drops archived bundles, at most once in `pause_s`."""
+        """Sends a heartbeat and drops archived bundles, at most once in `pause_s` seconds."""
         left_s = self._beaten + pause_s - time.monotonic()
         if left_s > 0 and not waits:
             return
@@ -149,7 +149,7 @@ class DeliveringWorker(BenchWorker):
 
 
 def _range(data: bytes, part: Chunk) -> bytes:
-    """Returns a range of a bundle, without a copy of the rest."""
+    """Returns a byte range of a bundle."""
     return data[part.offset : part.offset + part.length]
 
 
@@ -165,7 +165,7 @@ def deliver_copies(
 ) -> None:
     """Delivers one bundle of each worker and sends the number of workers through the pipe.
 
-    After a message from the pipe, delivers all other bundles and sends the wall time of this, seconds.
+    After a message from the pipe, delivers all other bundles and sends the wall time that this took, seconds.
     """
     copies = BundleCopies([RecordedBundle(path) for path in paths], jobs)
     fleet = [DeliveringWorker(endpoints, run, copies, is_validated, at_once) for _ in range(members)]

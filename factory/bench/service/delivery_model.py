@@ -27,7 +27,7 @@ class DeliveryPace(Model):
     pullers: int
     """Number of bundles that are transferred and validated at a time."""
     spot_checks: float | None
-    """Share of bundles that the coordinator validates although their worker has; `None`: it validates all."""
+    """Share of bundles that the coordinator validates after their worker; `None`: it validates all bundles."""
     validated: int
     """Number of episodes that the coordinator validated completely."""
     seconds: float
@@ -45,7 +45,7 @@ class DeliveryPace(Model):
 
     @classmethod
     def of(cls, settings: CoordinatorSettings, frames: int, episodes: int, cost: DeliveryCost) -> Self:
-        """Returns the pace of a measurement with the archived frames and episodes."""
+        """Returns the pace of a variant from its measurement and the number of archived frames and episodes."""
         seconds, cpu_s, unchecked = cost
         return cls(
             pullers=settings.pullers,

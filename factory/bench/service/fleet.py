@@ -31,7 +31,7 @@ _BEAT_S = 0.5
 _PARALLEL = 64
 """Number of workers that act concurrently."""
 _ARRIVING, _TRIES = 8, 10
-"""Number of sessions opened concurrently, and attempts for each; a connection times out after 2 s under load."""
+"""Number of sessions opened concurrently, and attempts to open each; a connection may time out after 2 s under load."""
 
 
 class WorkCost(Model):

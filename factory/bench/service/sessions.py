@@ -35,7 +35,7 @@ from schemas.storage.dataset_files import LEDGER_FILE
 
 _START = datetime(2026, 1, 1, tzinfo=UTC)
 _WINDOW_S = 0.02
-"""Window of virtual time whose requests are handled together, seconds; about the time of a commit on a disk."""
+"""All requests in a window of this virtual time are handled together, seconds; about the time of a commit to disk."""
 _ARCHIVE_S = 1.0
 """Time from the announcement of a bundle to the archived episode, seconds."""
 _BEATS_PER_LEASE = 4
@@ -55,7 +55,7 @@ class SessionsLoad:
     episode_s: float
     """Mean duration of an attempt, seconds."""
     lease_s: float
-    """Lease time, seconds; a worker sends four heartbeats in it."""
+    """Lease time, seconds; a worker sends four heartbeats in this time."""
     seconds: float
     """Simulated time after the start of all workers, seconds."""
 

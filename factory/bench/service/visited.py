@@ -1,7 +1,7 @@
 """Measures what visitors of the web page cost a run: periods without visitors, with viewers and with attackers in turn.
 
 The run is `factory run --http` in another process, with its coordinator and its workers. CPU times are those of the
-run; the visitors take CPU time of the same machine, which reduces the rate of episodes but not the CPU time of one.
+run. The visitors use the same CPU cores, which lowers the episode rate but does not raise the CPU time per episode.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from schemas.storage.dataset_files import META_FILE
 from schemas.support.child import python_module
 
 _EPISODES_PER_S = 20
-"""Planned episodes per worker and second: more than a worker completes, so that the run does not end."""
+"""Planned episodes per worker and second; a worker completes fewer, so that the run does not end too early."""
 _SLOW_CLIENTS = 100
 _VISIT_S = 10.0
-"""Pause between two pages of a viewer, seconds."""
+"""Pause of a viewer between two visits of the pages, seconds."""
 _POLL_S = 0.5
 
 
 class VisitorCost(Model):
-    """Run during the periods of one kind."""
+    """Measurements of the run in all periods with one kind of visitors."""
 
     episodes_per_s: Spread
     coordinator_share: Spread
-    """CPU time of the process of the coordinator per second, with its web page."""
+    """CPU time of the coordinator process, which serves the web page, per second of wall time."""
     cpu_s_per_episode: Spread
     """CPU time of all processes of the run per archived episode, seconds."""
 
@@ -85,7 +85,7 @@ def bench_visited(plan: str, workers: int, seconds: float, rounds: int, viewers:
     found: dict[str, list[tuple[float, float, float]]] = {kind: [] for kind in kinds}
     episodes = min(MAX_EPISODES, math.ceil(len(kinds) * rounds * seconds * workers * _EPISODES_PER_S))
     with _run(plan, episodes, workers) as (host, pid, site):
-        while not (site.state_dir / META_FILE).is_file():  # written with the first tables; scenes and workers are ready
+        while not (site.state_dir / META_FILE).is_file():  # written when scenes and workers are ready
             time.sleep(_POLL_S)
         for _ in range(rounds):
             for kind, visit in kinds.items():
@@ -151,7 +151,7 @@ def _family(pid: int) -> Sequence[int]:
 
 
 def _view(host: str, site: Site, viewers: int, seconds: float) -> None:
-    """Keeps a farm page open for each viewer, who also opens the table and its first episode with a frame."""
+    """Keeps a farm page open for each viewer; each viewer repeatedly loads the table and the first episode."""
     end_s = time.monotonic() + seconds
 
     episode = f"/episodes/{Dataset(site.place)[0].episode_id}"

@@ -75,7 +75,7 @@ def _time(run: LocalRun) -> _Run:
 
 
 def _cpu_s() -> float:
-    """Returns the CPU time of this process and of its children that have ended, with theirs, seconds."""
+    """Returns the CPU time of this process and of all its descendants that have ended, seconds."""
     usages = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 

@@ -74,7 +74,7 @@ def bench_memory(
 
 
 class _SimulationUnderTest:
-    """Running simulation process; an error is raised if it exits."""
+    """Running simulation process; raises `WorldError` if the process exits."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -83,7 +83,7 @@ class _SimulationUnderTest:
         self.renderer = self._receive({SimulationReportKind.READY}).renderer
 
     def run(self, order: SimulationOrder) -> SimulationReport:
-        """Returns how the attempt ended."""
+        """Runs one attempt and returns the report of its end."""
         self._simulation.order(order)
         report = self._receive(_ENDS)
         if report.reason is FailReason.CRASH:

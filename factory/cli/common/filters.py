@@ -57,7 +57,7 @@ def filter_option(
         flag: the option, e.g. `--split`.
         name: name of the parameter.
         known: valid values; empty when they are not known in advance.
-        text: help text; by default that of a filter.
+        text: help text; by default a text that lists the valid values.
     """
     word, names = flag.lstrip("-"), tuple(map(str, known))
     return click.option(
@@ -82,7 +82,7 @@ def tier_filter() -> Callable[[Command], Command]:
 
 
 def scene_filter() -> Callable[[Command], Command]:
-    """`--scene SCENE` as `scenes`. Names are not checked: imported scenes have any name."""
+    """`--scene SCENE` as `scenes`. Names are not checked, because imported scenes can have any name."""
     known = ", ".join(BUILTIN_CATEGORIES)
     return filter_option("--scene", "scenes", (), f"Scene to include; repeatable. Built-in: {known}. Default: all.")
 

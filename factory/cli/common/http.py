@@ -20,8 +20,8 @@ def http_options(command: Command) -> Command:
             "--http-token",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE",
-            help="File whose first line is the token of the pages; /healthz and /readyz need none. Required if --http "
-            "is not a loopback address.",
+            help="File whose first line is the token of the pages; /healthz and /readyz need no token. "
+            "Required if --http is not a loopback address.",
         ),
         click.option(
             "--http",

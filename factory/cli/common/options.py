@@ -53,7 +53,7 @@ record_option = click.option(
 
 
 def complete_rig(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
-    """Returns the built-in rigs that begin with a word, or a request for file names."""
+    """Completes the name of a built-in rig; if none begins with the word, the shell completes file names."""
     names = [CompletionItem(name) for name in BUILTIN_RIGS if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
 
@@ -65,7 +65,7 @@ def rig_option(text: str, multiple: bool = False) -> Callable[[Command], Command
 
 
 def complete_appearance(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
-    """Returns the built-in appearances that begin with a word, or a request for file names."""
+    """Completes the name of a built-in appearance; if none begins with the word, the shell completes file names."""
     names = [CompletionItem(name) for name in (*BUILTIN_APPEARANCES, NO_APPEARANCE) if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
 

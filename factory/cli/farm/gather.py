@@ -38,8 +38,8 @@ def command(**options: Any) -> int:
     the gateways' directories, run the command again with the others.
 
     Shards: `factory gather PLAN SHARD... --out DIR|URL` with PLAN and its options as in `factory run --shard`. SHARD is
-    the --out of a shard, or a folder that contains several; it is not changed. The dataset has the digest of the run
-    without shards.
+    the --out of a shard, or a folder that contains several; it is not changed. The dataset has the digest that
+    a run without shards gives.
 
     Exits with 1 if episodes are missing and not requeued.
     """

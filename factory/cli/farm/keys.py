@@ -90,7 +90,7 @@ def revoke_(**options: Any) -> None:
     """Revoke the admission of a host.
 
     DIR is the directory of the authority. Updates the list of admitted hosts in the TLS folders of coordinators and
-    gateways below DIR; they apply it within seconds. Copy the list to those on other machines.
+    gateways below DIR, which apply it within seconds. Copy the list to coordinators and gateways on other machines.
     """
     from factory.commands.farm.keys import revoke_
 

@@ -61,7 +61,7 @@ def show(**options: Any) -> None:
 def retry(**options: Any) -> int:
     """Put failed or cancelled jobs back into the queue.
 
-    EPISODES are names or numbers: ep_000001 or 1. Each job is attempted again as often as a new one.
+    EPISODES are names or numbers: ep_000001 or 1. Each job gets as many attempts as a new job.
     """
     from factory.commands.inspect.jobs import retry
 

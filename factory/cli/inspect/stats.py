@@ -15,7 +15,7 @@ from factory.cli.common.options import compare_option, json_option, place_argume
     "--language",
     is_flag=True,
     help="Print how often the target can be found without language, how many objects the instructions fit, and how "
-    "often the target is in view at the end. Reads two frames of each episode, of 2000 episodes at most.",
+    "often the target is in view at the end. Reads two frames of each episode, for at most 2000 episodes.",
 )
 @compare_option
 @json_option

@@ -16,7 +16,7 @@ class _EpisodeCount(click.ParamType):  # type: ignore[type-arg]  # generic since
     name = "count"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Returns the number; `all` is the largest one."""
+        """Returns the number; `all` becomes the largest number of episodes that a plan can have."""
         if value == "all":
             from schemas.plan import MAX_EPISODES
 

@@ -74,8 +74,8 @@ def command() -> None:
 @count_option(
     "--antialias",
     None,
-    "Samples per pixel and axis of rendered frames; 1 is the fastest. For datasets of states. Default: as many as give "
-    "the images of stored frames, 640 / SIZE.",
+    "Samples per pixel and axis of rendered frames; 1 is the fastest. For datasets of states. Default: 640 / SIZE, "
+    "which gives the same images as stored frames.",
     most=10,
 )
 @number_option(

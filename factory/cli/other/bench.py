@@ -29,7 +29,7 @@ from factory.cli.other.bench_visited import visited
 from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.terms import ExpertName, Recording
 
-# numpy and Mesa read these when they are imported; the benchmarks measure one process on one core
+# numpy and Mesa read these variables when they are imported; the benchmarks measure one process on one core
 os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -51,7 +51,7 @@ def command() -> None:
     from factory.support.logs import configure_logs
 
     configure_logs(verbose=False)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, so that the measured processes end, too
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C, so that measured processes end
 
 
 @command.command("rollout")
@@ -86,14 +86,14 @@ def rollout(**options: Any) -> None:
     "records",
     type=click.Choice([str(kind) for kind in Recording]),
     multiple=True,
-    help="Recording to run; repeatable.",
+    help="Kind of recording to measure; repeatable.",
 )
 @click.option(
     "--expert",
     "experts",
     type=click.Choice([str(name) for name in ExpertName]),
     multiple=True,
-    help="Expert to run; repeatable.",
+    help="Expert to measure; repeatable.",
 )
 @workers_option("Number of simulation processes")
 @_repeats_option

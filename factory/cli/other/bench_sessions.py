@@ -14,7 +14,7 @@ from factory.cli.common.options import count_option, json_option, number_option
 @count_option("--cores", 1, "Number of simulations of each worker.", most=256)
 @number_option("SECONDS", "--attempt", 10.0, "Mean duration of an attempt, seconds.", "episode_s", least=0.1)
 @number_option(
-    "SECONDS", "--lease", 15.0, "Lease time, seconds; a worker sends four heartbeats in it.", "lease_s", least=1.0
+    "SECONDS", "--lease", 15.0, "Lease time, seconds; a worker sends four heartbeats per lease.", "lease_s", least=1.0
 )
 @number_option("SECONDS", "--seconds", 30.0, "Simulated time after the start of all workers, seconds.", least=1.0)
 @json_option
@@ -22,7 +22,8 @@ def sessions(**options: Any) -> None:
     """Simulate thousands of workers against one coordinator.
 
     The requests of the workers run through the real handlers and a ledger on disk, in virtual time. Measures the CPU
-    time, the messages and the commits; network and bundles are measured by `factory bench coordinator` and `delivery`.
+    time, the messages and the commits. `factory bench coordinator` and `factory bench delivery` measure network and
+    bundles.
     """
     from factory.commands.other.bench_sessions import sessions
 

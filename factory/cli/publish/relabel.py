@@ -27,7 +27,7 @@ from factory.cli.common.options import dataset_argument, json_option, workers_op
     "cache",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="File that caches the answers of the endpoint. Default: the language file with .paraphrases.json.",
+    help="File that caches the answers of the endpoint. Default: the path of the language file plus .paraphrases.json.",
 )
 @click.option(
     "--paraphrase-timeout",

@@ -24,9 +24,9 @@ def show(**options: Any) -> None:
     """Show a plan's quotas, categories, templates and ambiguity.
 
     PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Files named in the
-    plan must exist. Categories, templates, ambiguity and the share of far starts around a corner need scenes that
-    are built and support the plan; the categories of layouts are known before they are built, except with
-    balance = "instances".
+    plan must exist. Categories, templates, ambiguity and the share of far starts around a corner are shown only if
+    all scenes are built and support the plan. For a plan with layouts, only the categories of the layouts are shown,
+    except with balance = "instances".
     """
     from factory.commands.run.plan import show
 

@@ -17,7 +17,7 @@ _UNIT_RANGE_M = (1e-6, 1e6)
 
 
 class UnitType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
-    """Unit of a file: `m`, `cm`, `mm`, `in`, or a number as its length in metres."""
+    """Unit of a file: `m`, `cm`, `mm`, `in`, or a number: the length of one unit in metres."""
 
     name = "unit"
 

@@ -79,8 +79,8 @@ def build(**options: Any) -> None:
     "--unit",
     type=UnitType(),
     metavar="[m|cm|mm|in|METRES]",
-    help="Unit of a glTF, OBJ, PLY, STL or COLLADA file; a number is its length in metres, which scales a scene that "
-    "was not drawn in its true size. Default: the unit that the file states.",
+    help="Unit of a glTF, OBJ, PLY, STL or COLLADA file; a number is the length of one unit in metres, for "
+    "example to rescale a scene that was not drawn in its true size. Default: the unit that the file states.",
 )
 @click.option(
     "--up",
@@ -93,8 +93,8 @@ def build(**options: Any) -> None:
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder in which model:// and package:// names and relative paths are searched; repeatable. Searched after "
-    "these: the scene's folder, and its folder models.",
+    help="Folder in which model:// and package:// names and relative paths are searched; repeatable. After these "
+    "folders, the scene's folder and its subfolder models are searched.",
 )
 @click.option(
     "--skip-missing",

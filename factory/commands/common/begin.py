@@ -31,7 +31,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
     """Returns the plan to run in a dataset directory.
 
     Args:
-        name: name or file of the requested plan; `None` continues the existing one, or uses `demo`.
+        name: name or file of the requested plan; `None` means the plan of the existing dataset, or `demo`.
         site: location of the dataset.
         changes: values of the shrink options.
 
@@ -54,7 +54,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
 
 
 def _load(name: str, recorded: Plan | None) -> Plan:
-    """Returns a plan; a file without success measure takes that of the dataset which it continues."""
+    """Returns a plan; a plan file without success measure gets that of the dataset which the run continues."""
     return load_plan(name) if recorded is None else load_plan(name, recorded.task.success)
 
 

@@ -8,6 +8,7 @@ GateMode = Literal["auto", "enforce", "report", "skip"]
 GATE_ATTEMPTS = 50
 """First attempts per scene, as in the paper."""
 MIN_SUCCESS = 0.8
-"""Least success rate that passes."""
+"""Minimum success rate to pass the gate."""
 MIN_EPISODES_FOR_GATE = 4 * GATE_ATTEMPTS
-"""Least number of episodes for which `auto` runs the gate. Below it, the gate costs over a quarter of the run."""
+"""Minimum number of episodes of a scene for which `auto` runs the gate. With fewer episodes, the gate costs more than a
+quarter of the run."""

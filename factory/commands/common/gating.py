@@ -69,7 +69,7 @@ def try_scene(
     Raises:
         WorldError: simulations do not start.
     """
-    from factory.runs.gate import GateRun, evaluate_gate, run_gate  # only now: most runs have no gate
+    from factory.runs.gate import GateRun, evaluate_gate, run_gate  # needed only for a gate
 
     run = GateRun.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
     name = plan.scenes[0].name

@@ -16,7 +16,7 @@ from schemas.errors import UsageError
 from schemas.support.extras import install_command
 
 if TYPE_CHECKING:
-    from coordinator.service import Coordinator  # opens zenoh
+    from coordinator.service import Coordinator  # imports zenoh
     from factory.dataset.site import Site
 
 
@@ -37,7 +37,7 @@ def status_pages(source: StatusSource, http: str | None, token_file: Path | None
     if http is None:
         yield
         return
-    from coordinator.status.server import StatusServer  # its packages are an extra
+    from coordinator.status.server import StatusServer  # needs an extra
 
     token = read_token(token_file) if token_file is not None else None
     with StatusServer(parse_address(http, token), source, token) as server:
@@ -64,7 +64,7 @@ def run_pages(
         http: value of `--http`.
         token_file: value of `--http-token`.
         ledger: URL of the ledger; `None` for the ledger of the dataset.
-        evaluations: values of `--eval`; directories that do not exist yet are shown when they do.
+        evaluations: values of `--eval`; a directory that does not exist yet is shown when it does.
 
     Raises:
         UsageError: the address is malformed or unprotected, or the extra `metrics` is missing.
@@ -73,10 +73,10 @@ def run_pages(
     if http is None or not (find_spec("starlette") and find_spec("uvicorn")):
         with status_pages(coordinator.health, http, token_file):
             if http is not None:
-                click.echo(f"to serve the web page as well: {install_command('web')}", err=True)
+                click.echo(f"to serve the web page, too, install its packages: {install_command('web')}", err=True)
             yield
         return
-    from factory.web.pages.status import routes  # its packages are an extra
+    from factory.web.pages.status import routes  # needs an extra
     from factory.web.start import serve
 
     token = read_token(token_file) if token_file is not None else None

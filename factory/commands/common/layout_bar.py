@@ -15,7 +15,7 @@ from factory.runs.layouts import BuiltLayout, LayoutBuilds
 
 @contextmanager
 def building_layouts(processes: int, stop: threading.Event) -> Iterator[LayoutBuilds]:
-    """Yields the settings of builds that show a progress bar, and print why a seed was not used."""
+    """Yields the settings of builds; these show a progress bar, and print why a seed was not used."""
     with _LayoutBar() as bar:
         yield LayoutBuilds(processes, stop, bar.tell)
 
@@ -26,7 +26,7 @@ class _LayoutBar(Bars):
     def tell(self, built: BuiltLayout, total: int) -> None:
         """Updates the bar, which appears with the first layout."""
         for line in built.refused:
-            click.echo(f"note: {built.name} has another seed: {line}", err=True)
+            click.echo(f"note: {built.name} does not use {line}", err=True)
         if self._task is None:
             self._task = self.add_task("layouts", total=total)
         self.update(self._task, advance=1, note=built.name)

@@ -115,7 +115,7 @@ def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, ga
 
 def print_building(name: str) -> None:
     """Prints on stderr that a scene is built."""
-    click.echo(f"building {name}; this is done once and takes some seconds, for a large stage minutes", err=True)
+    click.echo(f"building {name}; this is done once and takes some seconds, or minutes for a large scene", err=True)
 
 
 def _cell(value: object) -> str:

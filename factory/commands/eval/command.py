@@ -62,7 +62,7 @@ def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
     folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
     if folders:
         again = f"run `rm -r {' '.join(folders)}` and the same command again"
-        click.echo(f"note: episodes with policy faults are kept; to repeat a corrected policy, {again}", err=True)
+        click.echo(f"note: results with policy faults are kept; to evaluate a corrected policy, {again}", err=True)
 
 
 def _exit_code_of(evaluation: Evaluation) -> int:

@@ -97,12 +97,12 @@ def _prepare(job: SlurmJob, plan: Plan, mode: Mode) -> None:
             create_authority(job.run / "pki", plan.run, _AUTHORITY_DAYS, now)
             admit(job.run / "pki", "worker", Role.WORKER, (), _AUTHORITY_DAYS, now)
     except FactoryError:
-        shutil.rmtree(job.run, ignore_errors=True)  # as above
+        shutil.rmtree(job.run, ignore_errors=True)  # so that the command can be repeated
         raise
 
 
 def _again(run: Path) -> str:
-    """Returns the commands that submit the jobs of a run again."""
+    """Returns the shell command that submits the jobs of a run again."""
     scripts = run / "slurm"
     first, second, when = order_of("shards" if (scripts / "shards.sh").is_file() else "workers")
     job = f"$(sbatch --parsable {shlex.quote(str(scripts / first))}.sh)"

@@ -158,7 +158,7 @@ def _administer(
 
 
 def _ask(site: Site, request: AdminRequest, ledger: str | None, tls: Path | None) -> AdminReply:
-    from coordinator.admin import administer  # opens zenoh
+    from coordinator.admin import administer  # imports zenoh
 
     now = datetime.now(UTC)
     if tls is None:
@@ -186,7 +186,7 @@ def _describe_spec(episode: EpisodeSpec) -> str:
 
 
 def _plain(record: object) -> dict[str, Any]:
-    """Returns a record as flat JSON values; the fields of an episode's spec are among its own."""
+    """Returns a record as flat JSON values, with the fields of its episode spec at the top level."""
     plain: dict[str, Any] = {}
     for name, value in vars(record).items():
         plain |= dict(value) if isinstance(value, EpisodeSpec) else {name: value}

@@ -42,7 +42,7 @@ def execute(
 
 
 def _plan_of(name: str, site: Site) -> Plan:
-    """Returns the plan with the success measure, if its file has none, with which the episodes were made."""
+    """Returns a plan; if its file has no success measure, the plan gets that of most episodes in the dataset."""
     counts = count_plans(site.place)
     return max((load_plan(name, success) for success in reversed(SuccessMeasure)), key=lambda plan: counts[plan.digest])
 

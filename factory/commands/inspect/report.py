@@ -31,7 +31,7 @@ def execute(root: Place, out: Path, force: bool, compare_paper: bool | None, as_
 
 
 def _make(root: Place, out: Path, force: bool, compare_paper: bool | None) -> Summary:
-    from factory.report import make_report  # importing matplotlib takes half a second, and it may not be installed
+    from factory.report import make_report  # imports matplotlib, which is slow and may be missing
 
     with Bars() as bar:
         tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}

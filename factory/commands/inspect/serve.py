@@ -31,10 +31,10 @@ def execute(
     if not (is_dataset(site.state_dir) or (site.place / EPISODES).is_dir()):
         raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
     from factory.eval.results.store import read_manifest
-    from factory.web.start import serve  # its packages are an extra
+    from factory.web.start import serve  # needs an extra
 
     for folder in evaluations:
-        read_manifest(folder)  # raises before the server starts
+        read_manifest(folder)  # raises its errors before the server starts
     token = read_token(http_token) if http_token is not None else None
     served = serve(site, http, token, tls, ledger, evaluations=evaluations, renders_ahead=True)
     with served as url, stop_on_signals() as (stop, _):

@@ -91,15 +91,16 @@ def print_language(found: LanguageStatistics) -> None:
     )
     _print_wording(found.wording)
     print_text(
-        "\nThe target is the nearest object in view at the start, the most central object,\n"
-        "or the most central of its category"
+        "\nShare of episodes whose target is, at the start, the nearest object in view,\n"
+        "the most central object, or the most central object of its category"
     )
     _print_shares(found.rows, {"nearest": "nearest", "central": "central", "of category": "central_of_category"})
     print_text(
-        "\nAmong the objects of the category in view, or those that could be the target if\n"
-        "it was drawn at the start, the target is the nearest, or has the largest mask;\n"
-        "chance: a random one of these objects is the target; others: mean number of\n"
-        "these objects without the target"
+        "\nShare of episodes whose target is the nearest object of its category in view at\n"
+        "the start, or has the largest mask of these objects. If targets are drawn at the\n"
+        "start, only objects that could have been drawn count. chance: expected share if\n"
+        "the target were a random one of these objects; others: mean number of these\n"
+        "objects, without the target"
     )
     body = [
         (
@@ -110,8 +111,9 @@ def print_language(found: LanguageStatistics) -> None:
     ]
     _table(("scene", "nearest", "largest", "chance", "others"), body)
     print_text(
-        "\nThe instruction fits several objects in the scene, or in view at the start.\n"
-        "contradictory: another object of the category is in view, but not the target"
+        "\nShare of episodes whose instruction fits several objects of the scene, or\n"
+        "several objects in view at the start; contradictory: another object of the\n"
+        "category is in view, but not the target"
     )
     columns = {"in scene": "several_in_scene", "in view": "several_in_view", "contradictory": "contradictory"}
     _print_shares(found.rows, columns)
@@ -120,7 +122,7 @@ def print_language(found: LanguageStatistics) -> None:
         f"\nInstructions with 'in front of you': {away.of}; the target is not in view, or more than\n"
         f"30 degrees from the heading, in {away.count}: {_interval(away)}"
     )
-    print_text("\nLast frame: the target is in view")
+    print_text("\nShare of episodes whose target is in view in the last frame")
     arrivals = [(row.group, str(row.in_view.of), _interval(row.in_view)) for row in found.arrivals]
     _table(("category", "N", "in view"), arrivals)
 

@@ -54,7 +54,7 @@ def execute(
 
 
 def _inside(site: Site) -> Site:
-    """Returns the location of the dataset or of the shards if the location is the folder of a submitted run."""
+    """Returns the location itself, or that of the dataset or shards in the folder of a submitted run."""
     run = site.place
     if not isinstance(run, Path) or not is_submitted_run(run):
         return site
@@ -62,8 +62,8 @@ def _inside(site: Site) -> Site:
         return site_of(run / "dataset")
     if not any(find_shards(run / "shards")):
         raise WorldError(
-            f"no task of {run} has written its state yet, which it does some seconds after its start: see `squeue` "
-            f"and the logs in {run / 'slurm'}"
+            f"no task of {run} has written its state yet; a task writes it some seconds after its start: see "
+            f"`squeue` and the logs in {run / 'slurm'}"
         )
     return site_of(run / "shards")
 

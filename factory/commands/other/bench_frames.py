@@ -1,6 +1,6 @@
 """`factory bench render` and `factory bench read`: measure rendering and reading of frames, without PyBullet.
 
-Only episodes that are generated for a measurement need it.
+PyBullet is needed only to generate episodes for a measurement.
 """
 
 from __future__ import annotations

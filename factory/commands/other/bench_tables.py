@@ -181,7 +181,7 @@ def show_coordinator(report: CoordinatorBench) -> None:
     wire, sessions, deliveries = report.wire, report.wire.session_load, report.wire.delivery_load
     rows = [
         ("claim + announcement over zenoh, cycles/s", wire.cycles_per_s.median, _range(wire.cycles_per_s)),
-        ("small bundles archived at the same time, 1/s", wire.archived_per_s.median, _range(wire.archived_per_s)),
+        ("small bundles archived during these cycles, 1/s", wire.archived_per_s.median, _range(wire.archived_per_s)),
         (
             "CPU time of the coordinator, ms per cycle",
             _round(wire.coordinator_cpu_ms.median),
@@ -201,7 +201,7 @@ def show_coordinator(report: CoordinatorBench) -> None:
         ),
         ("peak memory during these deliveries, MiB", deliveries.memory.peak_mib, ""),
         (
-            "claim of another worker meanwhile, p99 ms",
+            "claim of another worker during these deliveries, p99 ms",
             deliveries.claim_p99_ms,
             f"p50 {deliveries.claim_p50_ms:.1f}, n {deliveries.claims}",
         ),

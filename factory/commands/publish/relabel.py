@@ -32,7 +32,7 @@ def execute(
     configure_logs()
     spec, paraphrases = load_language(reference), None
     if (url is None) != (model is None):
-        raise UsageError("--paraphrase URL and --model NAME belong together")
+        raise UsageError("--paraphrase URL and --model NAME must be given together")
     if url is not None and model is not None:
         kept = recorded_paraphrases(out, spec)
         file = cache or Path(f"{reference}.paraphrases.json")

@@ -161,15 +161,15 @@ def _print_content(plan: Plan, content: PlanSummary) -> None:
     print_table("", ("template", "text", "episodes"), texts)
     print_text(
         f"expected ambiguity: {content.ambiguous / total:.1%} of the instructions fit several objects of the scene\n"
-        f"  of all instructions, {content.shown_alone / total:.1%} get a start that shows only the target, "
-        f"{(content.ambiguous - content.shown_alone) / total:.1%} do not"
+        f"  ({content.shown_alone / total:.1%} with a start that shows only the target, "
+        f"{(content.ambiguous - content.shown_alone) / total:.1%} without)"
     )
 
 
 def _print_layout_categories(episodes: Mapping[str, int]) -> None:
     if not episodes:
         print_text(
-            'categories of the layouts: drawn evenly over their objects, because balance = "instances"; '
+            'categories of the layouts: not known yet, because balance = "instances" draws evenly over the objects; '
             'balance = "categories" gives each category the same number of episodes'
         )
         return

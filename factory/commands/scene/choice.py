@@ -53,8 +53,9 @@ def chosen_scene(scene: str, seed: int) -> CompiledScene:
 
 
 def scene_package(scene: str, seed: int) -> Path:
-    """Returns the package of a name or file; if the name was imported several times, of the last import. The number in
-    the name of a layout is its seed.
+    """Returns the package of a name or file; if the name was imported several times, the package of the last import.
+
+    The number in the name of a layout is its seed.
 
     Raises:
         UsageError: the name or file does not exist, or the file is not a scene package.

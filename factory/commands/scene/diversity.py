@@ -86,5 +86,5 @@ def _show(
         own, (other, far) = min(nearest.items(), key=lambda item: item[1][1])
         print_text(
             f"distance to the nearest other layout (share of occupied cells not in common): median "
-            f"{distances[len(distances) // 2]:.2f}, least {far:.2f} (seeds {own} and {other})"
+            f"{distances[len(distances) // 2]:.2f}, minimum {far:.2f} (seeds {own} and {other})"
         )

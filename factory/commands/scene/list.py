@@ -33,7 +33,7 @@ def execute(place: Place | None, as_json: bool) -> None:
         return
     _print(
         "",
-        ("scene", "summary", "seen categories", "held-out categories", "others in many layouts"),
+        ("scene", "summary", "seen categories", "held-out categories", "other common categories"),
         built_in,
         ("name", "summary", "seen", "held_out", "others"),
     )

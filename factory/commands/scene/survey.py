@@ -60,7 +60,10 @@ def describe_survey(report: SurveyReport) -> Iterator[str]:
         f"floor within {report.within_m:g} m of a start point: {100 * report.share_within:.1f} %; largest distance of "
         f"free floor to a start point: {report.farthest_floor_m:g} m"
     )
-    yield f"start points without a visible target: {report.blind}; used by the planner and by unscreened draws"
+    yield (
+        f"start points without a visible target: {report.blind}; used only by the planner, and by starts without "
+        "screening (spawn.screening)"
+    )
     yield f"targets visible from no start point: {', '.join(report.unseen) or 'none'}"
     goal = "centroid" if report.success is SuccessMeasure.CENTROID else "footprint"
     yield f"visible: at {low:g} to {high:g} m, not occluded, with a free straight path to 1 m from the {goal}"

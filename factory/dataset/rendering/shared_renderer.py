@@ -49,8 +49,8 @@ class View(NamedTuple):
 class SharedRenderer:
     """Renderer for all threads of a process.
 
-    The first frame opens a rendering process. A thread that finds all of them busy opens another one, up to one for
-    each core.
+    The first frame opens a rendering process. A thread that finds all rendering processes busy opens another one, up
+    to one for each core.
 
     Args:
         kind: type of the renderer.
@@ -105,7 +105,7 @@ class SharedRenderer:
             return renderer.render_camera(camera, pose)
 
     def omit_warnings(self) -> None:
-        """Logs no warning of another renderer from now on, because the caller reports how far frames differ."""
+        """Disables the warning about another renderer; for callers that report themselves how far frames differ."""
         self._warns = False
 
     @property
@@ -150,7 +150,7 @@ class SharedRenderer:
             return
         self._warned.add(recorded_with)
         remedy = "`factory verify --render` compares the frames with the recorded digests"
-        import structlog  # not at the start of each process that reads a dataset, which it would slow down
+        import structlog  # slow, and needed only for this warning
 
         log = structlog.get_logger(__name__)
         log.warning("renderer_differs", recorded_with=recorded_with, here=here, remedy=remedy)

@@ -47,7 +47,9 @@ def spl(success: bool, shortest_m: float, driven_m: float) -> float:
 
 
 def soft_spl(start_m: float, end_m: float, driven_m: float) -> float:
-    """Returns max(0, 1 - d_T / d_0) l / max(p, l) with l = d_0 (Datta et al. 2020): SPL with progress for success.
+    """Returns max(0, 1 - d_T / d_0) l / max(p, l) with l = d_0 (Datta et al. 2020).
+
+    This is SPL with the progress in place of the success.
 
     Args:
         start_m: d_0, geodesic distance to the success region at the start.
@@ -92,8 +94,8 @@ def stops_at_any(track: Floats, targets: Iterable[Target], category: str, task: 
 def floor_distance_m(grid: Grid, xy: ArrayLike, target: Target, task: TaskConfig) -> float | None:
     """Returns the geodesic distance from a point to the success region, metres; `None` without a path.
 
-    A robot next to furniture can be outside of the distance field, where the floor is too narrow; then the distance is
-    measured via the nearest cell of the field.
+    A robot next to furniture can be outside of the distance field, because the floor there is too narrow. In this
+    case, the result is the distance to the nearest cell of the field plus the distance of that cell.
     """
     direct = geodesic_m(grid, xy, target, task)
     if direct is not None:

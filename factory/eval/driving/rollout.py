@@ -105,7 +105,7 @@ class _EpisodeRun:
         return self.task.request
 
     def run(self, view: Observation) -> tuple[EvalEnd, str]:
-        """Runs the episode; returns its end and a description of it."""
+        """Runs the episode; returns how it ended, and a description of the end."""
         try:
             self._begin(view)
             while view.end is None:
@@ -269,7 +269,7 @@ def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig)
 
 
 def _stop_progress(is_success: bool) -> dict[str, Any]:
-    """Returns the progress metrics of an episode without a goal: 1 after a success, else 0."""
+    """Returns the three progress metrics of an episode without a goal: all are 1 after a success, else 0."""
     return dict.fromkeys(("progress_final", "progress_max", "progress_normalised"), float(is_success))
 
 

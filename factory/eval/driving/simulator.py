@@ -33,7 +33,10 @@ class UnstableStart(WorldError):
 
 
 class Simulator(Closing):
-    """Simulator of one episode at a time: call `reset`, then `step` until the view has an end. A context manager."""
+    """Simulator of one episode at a time: call `reset`, then `step` until the `end` of the view is set.
+
+    It is a context manager.
+    """
 
     def __init__(self, stage: SceneRenderer, settings: EvalSettings, appearance: Appearance | None = None) -> None:
         """Stores the scene renderer, which the caller opens and closes, and the appearance of the episodes."""
@@ -76,7 +79,7 @@ class Simulator(Closing):
         return self._loop.view
 
     def step(self, wanted: Twist) -> Observation:
-        """Simulates one control period with a twist, unless the episode ends with this action.
+        """Records a twist as the next action, and simulates one control period unless this action ends the episode.
 
         Args:
             wanted: Twist before the slew limit; values outside of the robot's range are clipped.

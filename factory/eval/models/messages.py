@@ -108,7 +108,7 @@ class EvalReport(Model):
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
         if (self.kind is EvalReportKind.RESULT) != (self.result is not None):
-            raise ValueError("the field `result` is required for a message of kind result and not allowed for others")
+            raise ValueError("only a message of kind `result` has the field `result`, which it requires")
         return self
 
 

@@ -75,7 +75,7 @@ class EpisodeResult(Model):
     final_centroid_m: NonNegative | None = None
     """NE by the centroid; `None` in results of older versions and of killed driver processes."""
     final_surface_m: NonNegative | None = None
-    """NE by the footprint; `None` in the same cases, and if the scene records no footprint."""
+    """NE by the footprint; `None` if `final_centroid_m` is `None`, or if the scene records no footprint."""
     geodesic_m: NonNegative | None
     """Geodesic distance at the start, which is l in SPL."""
     spl: Fraction | None

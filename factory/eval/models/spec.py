@@ -117,7 +117,7 @@ class SpecSet(Model):
         return hashlib.sha256(text.encode()).hexdigest()
 
     def only(self, splits: frozenset[Split] | None = None, episodes: int | None = None) -> SpecSet:
-        """Returns the specs of some splits, and at most `episodes` of them, spread evenly over the list.
+        """Returns at most `episodes` of the specs of some splits, evenly spaced in the list.
 
         Raises:
             UsageError: No spec matches.

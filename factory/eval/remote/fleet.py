@@ -114,7 +114,7 @@ def run_fleet(
         is_over = _take_results(coordinator, intake, root, stop)
     if is_over:
         _require_whole(root, store)
-        shutil.rmtree(root, ignore_errors=True)  # all its content is in the results
+        shutil.rmtree(root, ignore_errors=True)  # the results contain all of its content
         with contextlib.suppress(OSError):
             root.parent.rmdir()  # fails if the folder contains another campaign
     return is_over
@@ -140,9 +140,9 @@ def _require_coordinator(access: FleetAccess) -> None:
 
 
 def _try_failed_again(root: Path) -> None:
-    """Returns failed tasks to the queue: the error message about them asks the user to run the command again."""
+    """Returns failed tasks to the queue, because their error message asks the user to run the command again."""
     if ledger_trouble(ledger_url_of(root)):
-        return  # missing, or damaged and rebuilt when the coordinator starts
+        return  # no ledger, or a damaged one, which the coordinator rebuilds when it starts
     engine = open_writer(ledger_url_of(root))
     try:
         with engine.begin() as connection:

@@ -49,7 +49,7 @@ MEANS: Mapping[str, str] = MappingProxyType(
         "num_steps": "num_steps",
     }
 )
-"""Field of `Score` -> field of `EpisodeResult` whose mean it is."""
+"""Field of `Score` -> field of `EpisodeResult` of which it is the mean."""
 ALL = "all"
 GROUNDED = "two or more categories in view"
 

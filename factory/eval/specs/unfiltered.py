@@ -87,7 +87,7 @@ def unfiltered_specs(
 
 
 def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Plan:
-    """Returns the plan with these splits only; it draws all reachable targets, not only those of the expert."""
+    """Returns the plan with these splits only, and with the planner, so that every reachable target can be drawn."""
     scenes = []
     for scene in plan.parts:
         is_unseen = isinstance(scene, LayoutPlan) and scene.is_unseen
@@ -177,7 +177,7 @@ def _described(job: Job, pose: Start) -> EvalSpec:
 def _draw_poses(job: Job, place: LoadedScene, stage: SceneRenderer) -> Iterator[Start]:
     """Yields free poses on the connected floor whose view meets the conditions of the instruction.
 
-    Yields at most `physics_draws` poses, as many as an attempt of data collection tests in physics.
+    Yields at most `physics_draws` poses; an attempt of data collection tests as many in the physics simulation.
     """
     stage.renderer.load(place.scene, job.camera)
     rng = np.random.default_rng(np.random.SeedSequence((job.root_seed, _DRAW_STREAM, job.index, job.draw)))

@@ -108,5 +108,5 @@ def _by_nearness_to_the_median(dataset: Dataset) -> list[str]:
 
 def _free_bytes(out: Path) -> int:
     there = next(place for place in (out.absolute(), *out.absolute().parents) if place.exists())
-    with translated("ask the free space of", there):
+    with translated("read the free space of", there):
         return shutil.disk_usage(there).free

@@ -82,11 +82,11 @@ class _State:
     stop: threading.Event
     on_progress: ExportProgressCallback
     pieces: dict[int, ExportPiece[Any]] = field(default_factory=dict)
-    """Position -> piece."""
+    """Position in `dataset` -> piece."""
     skipped: dict[int, Skip] = field(default_factory=dict)
-    """Position -> skipped episode."""
+    """Position in `dataset` -> skipped episode."""
     frame_counts: dict[int, int] = field(default_factory=dict)
-    """Position -> number of frames."""
+    """Position in `dataset` -> number of exported frames."""
     resumed: int = 0
     frames: int = 0
     """Number of frames written in this call."""
@@ -243,7 +243,7 @@ def _finish(state: _State, manifest: ExportManifest) -> ExportManifest:
         state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
     except _Stopped:
         return manifest
-    state.out.before_file = lambda: None  # only the manifest is missing
+    state.out.before_file = lambda: None  # only the manifest is left to write
     frames = sum(state.frame_counts.values())
     update = {"episodes": len(pieces), "frames": frames, "complete": not skipped, "skipped": skipped}
     manifest = manifest.model_copy(update=update)

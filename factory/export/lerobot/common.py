@@ -78,7 +78,7 @@ class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
     facts = LeRobotFacts
 
     def check_rig(self, rig: Rig, options: OptionsT) -> None:
-        """Validates that features differ and that the sides of videos are even."""
+        """Validates that no feature occurs twice, and that width and height of videos are even numbers."""
         layout_of(_widened(options), CameraConfig(), rig)
 
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> LeRobotFacts:

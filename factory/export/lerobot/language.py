@@ -1,6 +1,6 @@
 """Language columns of LeRobot 0.6: `language_persistent` with sub-instructions, `language_events` with questions.
 
-Every frame has all `subtask` rows of its episode; a row is active from its `timestamp` until that of the next one. The
+Every frame has all `subtask` rows of its episode; a row is active from its `timestamp` until that of the next row. The
 `vqa` rows of a question are in one frame only. Opens no file.
 """
 

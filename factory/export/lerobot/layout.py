@@ -91,7 +91,7 @@ def layout_of(options: LeRobotOptions, recorded: CameraConfig, rig: Rig | None) 
     """Returns the layout of the recorded camera, or of the sensors of a rig.
 
     Raises:
-        UsageError: two sensors of the rig have the same feature, or the sides of a video are odd.
+        UsageError: two sensors of the rig have the same feature, or width or height of a video is odd.
     """
     wanted = {CameraOutput.RGB: True, CameraOutput.DEPTH: options.depth, CameraOutput.IDS: options.ids}
     if rig is None:
@@ -143,7 +143,7 @@ def largest_depth(camera: Camera) -> float:
 
 
 def _columns_of(rig: Rig) -> Iterator[tuple[str, Column]]:
-    """Yields the columns of a rig: its first odometry is the state, its other sensors follow the state."""
+    """Yields the columns of a rig: its first odometry as the state, then those of its other sensors."""
     wheels = [sensor for sensor in rig.sensors if isinstance(sensor, WheelOdometry)]
     yield STATE, _vector(STATE_NAMES, sensor=wheels[0] if wheels else None)
     for sensor in rig.sensors:
@@ -170,6 +170,6 @@ def _require_even(layout: Layout) -> None:
     for image in layout.videos:
         if image.width % 2 or image.height % 2:
             raise UsageError(
-                f"feature {image.key!r} has {image.width} x {image.height} pixels; H.264 video needs even sides: "
+                f"feature {image.key!r} has {image.width} x {image.height} pixels; an H.264 video needs even numbers: "
                 "change width or height of the camera by one pixel"
             )

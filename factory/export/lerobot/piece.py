@@ -95,7 +95,7 @@ class _FrameSource:
         return self._codes
 
     def png(self) -> bytes:
-        """Returns the PNG of the ids; that of the recorded camera is copied."""
+        """Returns the ids as PNG; for the recorded camera, the bytes are those of a recording of frames."""
         if self._reader is None:
             return self._episode.stored(f"seg_front/{self._t:06d}.png")
         return encode_png(self.codes())

@@ -35,7 +35,7 @@ class EpisodeText(NamedTuple):
     instruction: str
     """Text; in a relabelled dataset, the new instruction."""
     template_id: str
-    """Sentence pattern of the text."""
+    """Id of the sentence pattern of the text."""
     steps: tuple[SubInstruction, ...] = ()
     """Sub-instructions of a route."""
 
@@ -65,13 +65,13 @@ def rotation_of(yaw_rad: float) -> tuple[float, float, float, float]:
 
 
 def thin_track(points: NDArray[np.float64], spacing_m: float = _SPACING_M) -> NDArray[np.float64]:
-    """Returns points of a track (T, 3) with a spacing of at least `spacing_m`, with the first and the last point."""
+    """Returns points of a track (T, 3) about `spacing_m` apart along it, including the first and the last point."""
     steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     marks = np.arange(0.0, along[-1], spacing_m)
     chosen = [int(index) for index in np.searchsorted(along, marks)]
     if len(chosen) > 1 and along[-1] - along[chosen[-1]] < spacing_m / 2:
-        chosen.pop()  # replaced by the last point
+        chosen.pop()  # the last point of the track replaces it
     return points[list(dict.fromkeys([*chosen, len(points) - 1]))]
 
 

@@ -40,7 +40,7 @@ class RunFacts:
 
 
 def facts_of(episodes: Sequence[EpisodeSummary]) -> RunFacts | None:
-    """Returns the facts of a group, or `None` for an empty group."""
+    """Returns the means of a group, or `None` for an empty group."""
     spawn = mean_of([row.spawn_dist_m for row in episodes])
     error = mean_of([row.final_ne_m for row in episodes])
     length = mean_of([row.trajectory_length_m for row in episodes])

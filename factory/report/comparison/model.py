@@ -12,18 +12,18 @@ Verdict = Literal["inside", "outside", "undecided"]
 
 
 class PaperComparison(Model):
-    """Comparison of one number of the dataset with the paper."""
+    """Comparison of one number that is computed from the dataset with the paper."""
 
     exhibit: str
     """Name of the figure."""
     what: str
     ours: float | None
-    """Number of the dataset; `None` without data."""
+    """Number computed from the dataset; `None` without data."""
     published: float
     published_high: float | None = None
     """Upper bound, if the paper gives a range."""
     interval: Interval | None = None
-    """95 % interval of `ours`; `None` for numbers without an interval, and for too few episodes."""
+    """95 % interval of `ours`; `None` if the number has no interval or there are too few episodes."""
     target: Interval | None = None
     """Smallest and largest number that agree with the paper."""
     verdict: Verdict | None = None
@@ -45,7 +45,7 @@ class PaperComparison(Model):
 
     @property
     def ratio(self) -> float | None:
-        """Number of the dataset divided by that of the paper, if that is a single number other than 0."""
+        """`ours` divided by `published`; `None` if the paper gives a range or 0."""
         if self.ours is None or self.published_high is not None or self.published == 0:
             return None
         return self.ours / self.published

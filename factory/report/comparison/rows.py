@@ -32,7 +32,7 @@ class _Kind(NamedTuple):
     """Threshold relative to the published number."""
 
     def target(self, published: float) -> Interval:
-        """Returns the smallest and the largest number that do not differ noticeably."""
+        """Returns the smallest and the largest number that do not differ noticeably from the published number."""
         threshold = self.alike + self.alike_relative * abs(published)
         return published - threshold, published + threshold
 
@@ -151,7 +151,7 @@ def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
         if said is None or said.steps_mean is None:
             continue
         facts = facts_of([episode for episode in material.episodes if row.group in (ALL, episode.spawn_tier)])
-        if row.group != ALL:  # the row of all tiers belongs to the histogram
+        if row.group != ALL:  # the figure of trajectory lengths compares the mean of all tiers
             yield from _length(material, "tier_statistics", row, facts)
         what, kind, why = f"steps mean, {row.group}", _kind("steps mean", row), (_why_steps, facts, said)
         numbers = (row.steps_mean, said.steps_mean, said.source)

@@ -109,7 +109,7 @@ def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: fl
         FigureCanvasAgg(figure)
         paint(figure.add_subplot())
         figure.draw_without_rendering()
-        figure.set_layout_engine(None)  # with an active engine, each file is drawn twice
+        figure.set_layout_engine(None)  # with a layout engine, matplotlib draws each file twice
         return Panel(name, alt, _as_svg(figure), lambda: _as_png(figure, style))
 
 

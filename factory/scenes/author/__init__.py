@@ -56,7 +56,8 @@ class BuiltinScene:
         summary: one line for listings.
         lay_out: function that fills a floor plan.
         metres_per_unit: length of a unit in the written stage, metres.
-        first_draw: number of the first random plan of a seed; chosen so that seed 0 has all categories.
+        first_draw: number of the first random floor plan that is tried for a seed; chosen so that seed 0 has all
+            categories.
         others: categories that many layouts have and a plan can name, in addition to those of `BUILTIN_CATEGORIES`.
     """
 
@@ -147,8 +148,10 @@ def author_content(scene: BuiltinScene, seed: int) -> Extraction:
 
 
 def lay_out_scene(scene: BuiltinScene, seed: int) -> FloorPlan:
-    """Returns the floor plan of a scene without writing it: the first of a few random plans that has rooms, an object
-    of each category and a way for the robot to every room.
+    """Returns the floor plan of a scene without writing it.
+
+    It is the first of a few random plans that has rooms, an object of each category and a way for the robot to every
+    room.
 
     Raises:
         WorldError: none of the random plans is valid; another seed may have a valid plan.

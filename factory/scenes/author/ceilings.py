@@ -76,7 +76,7 @@ def _panel_lamp(x: float, y: float, top: float) -> list[PropPiece]:
 
 
 def _round_lamp(x: float, y: float, top: float) -> list[PropPiece]:
-    """A pendant: rose, cord and a flat glass drum, whose lower face lights the room."""
+    """Returns a pendant lamp: rose, cord and a flat glass drum, whose lower face lights the room."""
     rose = lathe([(0.05, top - 0.03), (0.06, top)], (x, y), 8)
     cord = lathe([(0.006, top - 0.24), (0.006, top - 0.03)], (x, y), 4)
     shade = lathe([(0.30, top - 0.34), (0.28, top - 0.24)], (x, y), 12)

@@ -22,11 +22,11 @@ _SPARE = (1.0, 1.3)
 """Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at
 least 1, because rooms in rows of unsuitable depth become larger than desired."""
 _RATIO = (0.75, 1.33)
-"""Smallest and largest factor between width / depth of a building and width / depth of the available floor."""
+"""Smallest and largest quotient of width / depth of a building and width / depth of the available floor."""
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""Largest share of the possible total change of the room widths that a row may use to fill its length."""
+"""Largest share of the possible change of the room widths in a row that may be used to fill the length of the row."""
 _STEPS = 24
 """Number of bisections of the scale of a floor."""
 
@@ -38,7 +38,7 @@ class RoomSpec(NamedTuple):
     area_m2: float
     least_m: float
     is_hub: bool = False
-    """Whether other rooms may be entered from it."""
+    """Whether it may have doors to all rooms; other rooms have doors to hubs only."""
 
 
 Specs = tuple[RoomSpec, ...]
@@ -50,8 +50,8 @@ class Block(NamedTuple):
     area: Rectangle
     specs: Specs
     rows: float = 0.0
-    """Probability with which cuts across x, which form a row of rooms, are tried first; 1 for one row along the longer
-    side, whose rooms adapt their floor area to its depth."""
+    """Probability with which cuts across x, which form a row of rooms, are tried first. With 1, all rooms form one row
+    along the longer side, and their floor areas are adapted to the depth of the block."""
 
 
 class Arrangement(NamedTuple):
@@ -190,8 +190,9 @@ def ring_hall(hall_m: float) -> Scheme:
 
 
 def _scaled(draw: Callable[[Generator], _Shape]) -> Scheme:
-    """Returns a scheme that draws a shape, scales it until its blocks have the floor area of the rooms, and distributes
-    the rooms to the blocks. The available floor determines only the ratio of the sides and the lower corner."""
+    """Returns a scheme that chooses a shape at random, scales it until its blocks have the floor area of the rooms, and
+    distributes the rooms to the blocks. The available floor determines only the ratio of the sides and the lower
+    corner."""
 
     def arrange(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement | None:
         shape, total = draw(rng), sum(spec.area_m2 for spec in specs) * float(rng.uniform(*_SPARE))
@@ -240,12 +241,12 @@ def _least_width(spec: RoomSpec, depth: float) -> float:
 
 
 def _width(spec: RoomSpec, depth: float) -> float:
-    """Returns the width of a room in a row of a given depth, metres: for its desired area, within its proportions."""
+    """Returns the width of a room in a row of a given depth, metres: that of its desired area, if its limits permit."""
     return min(max(spec.area_m2 / depth, _least_width(spec, depth)), max(SLENDER * depth, spec.least_m))
 
 
 def _floor_of(areas: Sequence[Rectangle]) -> float:
-    """Returns the sum of the areas; 0 if one of them has no extent, because the floor is smaller than its halls."""
+    """Returns the sum of the areas; 0 if the floor is smaller than its halls, so that an area has no extent."""
     total = 0.0
     for x0, y0, x1, y1 in areas:  # one loop over the corners, because a floor is divided thousands of times
         width, depth = x1 - x0, y1 - y0

@@ -1,4 +1,4 @@
-"""Draws the textures of authored scenes, once for a scene cache. Does not define what they look like."""
+"""Draws the textures of authored scenes, each once for a scene cache. Does not define what they look like."""
 
 from __future__ import annotations
 

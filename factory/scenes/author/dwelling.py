@@ -128,7 +128,7 @@ def _built_rooms(division: Division) -> list[BuiltRoom]:
 
 
 class _Run(NamedTuple):
-    """Straight wall between the same two rooms; `None` is the outside."""
+    """Straight wall between two rooms, or between a room and the outside, which is `None`."""
 
     is_along_x: bool
     at: float
@@ -160,7 +160,7 @@ def _wall_runs(areas: Sequence[Rectangle]) -> Iterator[_Run]:
 
 
 def _build_wall(plan: FloorPlan, run: _Run, division: Division, building: BuildingLook) -> None:
-    """Builds a wall with its doors; between two parts of a hall only keeps the floor clear."""
+    """Builds a wall with its doors. Between two parts of a hall, builds nothing and only keeps the floor clear."""
     openings = [opening for opening in division.openings if _is_in(opening, run)]
     if any(opening.is_joint for opening in openings):
         low, high = run.span

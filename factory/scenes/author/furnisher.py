@@ -22,13 +22,13 @@ _VARIANTS = 32_760
 _FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
 """Number of variants that one building uses; it is small, because each variant has its own texture."""
 _JOINT_M = 0.8
-"""Distance along a side from an opening without a wall within which nothing hangs, metres."""
+"""Distance along a side from an opening without a wall within which nothing is mounted, metres."""
 _DOOR_M = 2.0
-"""Distance along a wall from the centre of an opening within which nothing hangs, metres."""
+"""Distance along a wall from the centre of an opening within which nothing is mounted, metres."""
 
 
 class Furnisher:
-    """Room with its plan and its style; `clutter` is the probability of each small thing, 1 for all."""
+    """Room with its floor plan and its style; `clutter` is the probability with which each small thing is placed."""
 
     def __init__(self, plan: FloorPlan, room: BuiltRoom, palette: Palette, clutter: float = 1.0) -> None:
         self.plan, self.room, self.area, self.palette = plan, room, room.area, palette
@@ -46,7 +46,7 @@ class Furnisher:
         return "".join(sorted(order, key=lambda side: side in self.room.doors))
 
     def model(self, name: str, variant: int | None = None) -> PropModel:
-        """Returns a model, by default of a random variant; a building uses few variants of the names in `_FEW`."""
+        """Returns a model, by default in a random variant; of the models in `_FEW`, a building uses few variants."""
         if variant is None:
             few = _FEW.get(name)
             variant = self.plan.pick(_VARIANTS) if few is None else self.palette.art + self.plan.pick(few)
@@ -60,7 +60,7 @@ class Furnisher:
         clearance: float = 0.1,
         gap: float = 0.02,
     ) -> PropPlacement | None:
-        """Places a piece with its back to the first wall with room, at a random position."""
+        """Places a piece with its back to the first wall that has space for it, at a random position."""
         model = self.model(name, variant)
         for side in sides or self.sides():
             for share in (float(self.rng.uniform(0.3, 0.7)), *self.rng.uniform(0.0, 1.0, 5).tolist(), 0.0, 1.0):
@@ -142,7 +142,7 @@ class Furnisher:
     def before(
         self, name: str, variant: int | None, of: PropPlacement, reach: float, along: float = 0.0, turn: float = 0.0
     ) -> PropPlacement | None:
-        """Places a seat `reach` metres before a piece and `along` metres from its centre, with its front towards the
+        """Places a seat `reach` metres in front of a piece and `along` metres from its centre. The seat faces the
         piece, turned by `turn` radians."""
         c, s = math.cos(of.yaw), math.sin(of.yaw)
         x, y = of.x + c * along + s * reach, of.y + s * along - c * reach

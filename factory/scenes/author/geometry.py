@@ -151,7 +151,7 @@ def lathe(
 
 @lru_cache(maxsize=256)
 def _circle(sides: int, shift: float) -> tuple[Floats, Floats]:
-    """Returns the cosines and sines of the corners of a regular polygon, turned by `shift` sides; only read them."""
+    """Returns cosines and sines of the corners of a regular polygon, turned by `shift` sides; the arrays are shared."""
     angle = 2 * math.pi * (np.arange(sides) + shift) / sides
     return portable.cos(angle), portable.sin(angle)
 

@@ -113,7 +113,7 @@ def kitchen_row(own: Furnisher, sides: str, look: int, names: Sequence[str], top
         own: room.
         sides: sides to try, in order.
         look: variant of the units.
-        names: units, placed in random order; without the plain units if no wall has room for all.
+        names: units, placed in random order. If no wall has room for all, `SM_KitchenUnit` is omitted.
         tops: appliances for the first units.
     """
     order = [names[k] for k in own.rng.permutation(len(names))]
@@ -139,8 +139,9 @@ def kitchen_row(own: Furnisher, sides: str, look: int, names: Sequence[str], top
 
 
 def enter(rooms: Sequence[Furnisher], kinds: Sequence[str], variant: int) -> bool:
-    """Hangs a closed door to the outside into an outer wall of the first room with space for it, with a sign above it,
-    and keeps the floor before it clear; returns whether a room had the space.
+    """Adds a closed door to the outside, with a sign above it, to an outer wall of the first room with space for it.
+
+    Keeps the floor before the door clear. Returns whether a room had the space.
 
     Args:
         rooms: rooms of the building.

@@ -30,7 +30,7 @@ from schemas.errors import WorldError
 _TRIES, _OUTLINES = 600, 4
 """Divisions tried for one outline, and number of outlines of the same floor area."""
 _GIVE = (0.8, 1.25)
-"""Range of the factor between the floor area of a room in one division and the area of its spec."""
+"""Range of the quotient of the floor area of a room in one division and the area of its spec."""
 _END_M = 0.45
 """Least distance between an opening and the end of the common wall, metres."""
 
@@ -65,18 +65,18 @@ class Doors(NamedTuple):
     open_m: Mapping[frozenset[str], tuple[float, float]] = {}
     """Range of the width of a passage without a door leaf, by the kinds of the two rooms."""
     loops: float = 0.5
-    """Probability of a further passage between two hubs."""
+    """Probability of an additional opening between two hubs."""
 
 
 def divide_floor(
     rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], doors: Doors, scheme: Scheme = no_hall
 ) -> Division:
-    """Divides a floor so that every room has its least side and can be entered.
+    """Divides a floor so that every side of a room has at least the length `least_m`, and every room can be entered.
 
     Args:
         rng: random generator.
-        floor: outer rectangle, between the centre lines of the outer walls; if no division of it is found, others
-            of the same area and centre are tried.
+        floor: outer rectangle, between the centre lines of the outer walls. If no division of it is found, other
+            rectangles with the same area and centre are tried.
         specs: rooms of the building, without halls.
         doors: widths of the openings.
         scheme: arrangement of the halls; their parts are the last rooms.
@@ -104,7 +104,7 @@ def divide_floor(
 
 
 def _divide(rng: Generator, arrangement: Arrangement | None, doors: Doors) -> Division | None:
-    """Returns the rooms and openings of an arrangement, or `None` if a room does not suit or stays closed."""
+    """Returns the rooms and openings of an arrangement; `None` if the rooms do not fit or a room cannot be entered."""
     areas: list[Rectangle] = []
     for block in () if arrangement is None else arrangement.blocks:
         cut = _row(block) if block.rows >= 1.0 else _cut(rng, block.area, block.specs, block.rows)
@@ -137,7 +137,7 @@ def _row(block: Block) -> list[Rectangle] | None:
 
 
 def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], rows: float) -> list[Rectangle] | None:
-    """Cuts a rectangle in two until each spec has a suitable room of about its floor area; `None` if that fails.
+    """Cuts a rectangle recursively until each spec has a suitable room of about its floor area; `None` if that fails.
 
     `rows` is the probability with which cuts across x are tried first, so that the rooms form a row.
     """
@@ -177,8 +177,11 @@ def _common_wall(one: Rectangle, two: Rectangle) -> tuple[bool, float, float, fl
 
 
 def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle], doors: Doors) -> list[Opening] | None:
-    """Returns the joints of the hall, and a spanning tree of openings through hubs, with loops between hubs; `None` if
-    a room stays closed."""
+    """Returns the openings of all rooms; `None` if a room cannot be entered.
+
+    These are the joints of the hall, a spanning tree of openings of which each has a hub on at least one side, and
+    random additional openings between hubs.
+    """
     pairs = [(i, j) for i, j in combinations(range(len(specs)), 2) if specs[i].is_hub or specs[j].is_hub]
     order = [pairs[k] for k in rng.permutation(len(pairs))]
     order.sort(key=lambda pair: not (specs[pair[0]].is_hub and specs[pair[1]].is_hub))

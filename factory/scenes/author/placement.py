@@ -182,7 +182,7 @@ class FloorPlan:
         return self.place(model, x, y, yaw, room, 0.0, True)
 
     def stand(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement:
-        """Places a model on the floor without a test; its footprint is taken."""
+        """Places a model on the floor without a collision test, and marks its footprint as occupied."""
         self.taken.append(footprint(model, x, y, yaw))
         return self.add(model, x, y, yaw)
 
@@ -217,8 +217,10 @@ class FloorPlan:
         tries: int = 12,
         avoid: bool = False,
     ) -> PropPlacement | None:
-        """Calls `against` with random positions along random walls of the given sides until a placement fits; `avoid`
-        also keeps it off what is on the walls, such as curtains and window sills."""
+        """Calls `against` with random positions along random walls of the given sides until a placement fits.
+
+        With `avoid`, the model also keeps clear of things on the walls, such as curtains and window sills.
+        """
         for _ in range(tries):
             side = sides[self.pick(len(sides))]
             along = float(self.rng.uniform(0.04, 0.96))
@@ -254,7 +256,7 @@ class FloorPlan:
         """Returns whether the rotated box of the model, with a margin in metres, intersects that of a placed model."""
         x0, y0, x1, y1 = footprint(model, x, y, yaw).grown(margin)
         low, high = float(model.low[2]), float(model.high[2])
-        for other in self.placements:  # thousands of calls with hundreds of placements: `overlaps` without its call
+        for other in self.placements:  # `overlaps` is inlined: thousands of calls loop over hundreds of placements
             left, front, right, back = other.floor_box
             if x0 < right and left < x1 and y0 < back and front < y1:
                 bottom, top = other.heights

@@ -54,7 +54,10 @@ class Doorway(NamedTuple):
 
 
 class _Strip(NamedTuple):
-    """Converts (along, across, z) ranges to blocks of a wall along x or y."""
+    """Converts (along, across, z) ranges to blocks of a wall along x or y.
+
+    `side` is -1 for the face of the wall towards lower coordinates, and 1 for the opposite face.
+    """
 
     is_along_x: bool
     at: float
@@ -65,17 +68,17 @@ class _Strip(NamedTuple):
         return block(low, high)
 
     def leaf(self, along: tuple[float, float], side: float, z: tuple[float, float]) -> AuthoredMesh:
-        """Returns the half towards lower (side -1) or higher (+1) coordinates, without its hidden inner face."""
+        """Returns the half of the wall on one side, without its inner face, which is hidden."""
         return self._backless(along, side, (0.0, WALL_THICKNESS_M / 2), z)
 
     def applied(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> AuthoredMesh:
-        """Returns a bar on the face towards lower (side -1) or higher (+1) coordinates, without its back face."""
+        """Returns a bar, `proud` metres thick, on a face of the wall; the bar has no back face."""
         return self._backless(along, side, (WALL_THICKNESS_M / 2, WALL_THICKNESS_M / 2 + proud), z)
 
     def _backless(
         self, along: tuple[float, float], side: float, out: tuple[float, float], z: tuple[float, float]
     ) -> AuthoredMesh:
-        """Returns a block from `out[0]` to `out[1]` metres off the centre line, without the face towards it."""
+        """Returns a block from `out[0]` to `out[1]` metres off the centre line, without the face towards this line."""
         near, far = sorted((side * out[0], side * out[1]))
         front = ("SN" if self.is_along_x else "WE")[side > 0]
         return open_block(*self._corners(along, (near, far), z), front + ("EWBT" if self.is_along_x else "SNBT"))
@@ -90,7 +93,7 @@ class _Strip(NamedTuple):
         return (c0, a0, z[0]), (c1, a1, z[1])
 
     def plate(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> AuthoredMesh:
-        """Returns a rectangle in front of the face towards lower (side -1) or higher (+1) coordinates."""
+        """Returns a rectangle `proud` metres in front of a face of the wall."""
         left, right = along if (side < 0) == self.is_along_x else along[::-1]
         c = self.at + side * (WALL_THICKNESS_M / 2 + proud)
         corners = [(left, z[0]), (right, z[0]), (right, z[1]), (left, z[1])]
@@ -163,7 +166,7 @@ def _solid(
 
 
 def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) -> list[PropPiece]:
-    """Returns skirting, dado, rail and sockets of the face towards lower (side -1) or higher (+1) coordinates."""
+    """Returns skirting, dado, rail and sockets of one face of a wall."""
     start, end = along
     pieces = [PropPiece(trim.skirting, strip.applied(along, side, 0.012, (0.0, 0.09)))]
     if trim.dado is not None:

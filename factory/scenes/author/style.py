@@ -40,7 +40,7 @@ _WALLPAPERS = (
 )  # fmt: skip
 _PLAIN_WALLS = ("Plaster", "Plaster", "Plaster", "Bricks", "BlockWork", "Panelling")
 _WALL_TILE_M = {"Bricks": 1.2, "BlockWork": 1.6, "Panelling": 1.0, "Sheeting": 2.0}
-"""Length of one repeat of a texture of walls, metres; 0.8 m for the others."""
+"""Length of one repeat of a wall texture, metres; 0.8 m for textures that are not listed."""
 
 
 _SURROUNDINGS = (
@@ -54,7 +54,7 @@ _SURROUNDINGS = (
 
 
 class Finishes(NamedTuple):
-    """Textures between which the palette of a kind of building chooses."""
+    """Textures from which the palette of a kind of building is chosen."""
 
     walls: tuple[str, ...]
     stones: tuple[str, ...] = _STONES
@@ -115,7 +115,7 @@ class Palette(NamedTuple):
 
 
 def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:
-    """Draws a style: each part of it independently of the others."""
+    """Chooses a style at random, each part independently of the others."""
     names, stones = finishes.paints, {name: _STONE_TINTS[name] for name in finishes.stone_tints}
     paints = [_paint(rng, finishes.walls, names[k]) for k in rng.permutation(len(names))[:6]]
     frame = int(rng.integers(2)) * len(OUTLOOKS)
@@ -138,7 +138,7 @@ def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:
 
 
 def _views(rng: Generator, frame: int) -> tuple[int, int]:
-    """Draws the views to two directions, which suit each other, and returns the variants of the windows."""
+    """Chooses matching views at random for two directions, and returns the variants of the windows."""
     outlook, turn = int(rng.integers(len(OUTLOOKS))), int(rng.integers(len(OUTLOOKS)))
     near = next(group for group in _SURROUNDINGS if OUTLOOKS[outlook] in group)
     other = near[(near.index(OUTLOOKS[outlook]) + turn) % len(near)]
@@ -150,7 +150,7 @@ def _one(rng: Generator, choices: Sequence[Choice]) -> Choice:
 
 
 def _trim(rng: Generator) -> Trim:
-    """Draws the skirting, the door frames, and in two of five buildings a dado of wood or paint."""
+    """Chooses at random the skirting, the door frames and, in two of five buildings, a dado of wood or paint."""
     skirting = _one(rng, (painted("White", 0.45), wood("Walnut"), wood("Oak")))
     frame = _one(rng, (wood("Oak"), painted("White", 0.45), wood("Walnut"), wood("Pale"), painted("LightGrey", 0.5)))
     if rng.random() > 0.4:

@@ -38,7 +38,8 @@ def list_targets(
 ) -> tuple[Target, ...]:
     """Returns the candidates that are reachable by any success measure, as targets without colours, in path order.
 
-    Names number all candidates of a category, so that a target keeps its name when another becomes reachable.
+    The numbers in the names count all candidates of a category, reachable or not, so that a target keeps its name when
+    another candidate becomes reachable.
 
     Args:
         terrain: floor of the scene.

@@ -13,7 +13,7 @@ from factory.scenes.importer import Part, Surface
 
 UNKNOWN = "unknown"
 _MOST, _VISIBLE = 0.6, 0.05
-"""Smallest share of the surface of an object for its first material, and for each further one."""
+"""Smallest share of the surface of an object that its first material covers, and that each other material covers."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _SUBSTANCES = MappingProxyType(
     {
@@ -37,10 +37,10 @@ _SUBSTANCES = MappingProxyType(
         "soil": "soil earth",
     }
 )
-"""Words of each substance, lower case. Words that are also colours, such as silver, are not listed."""
+"""Words that name each substance, lower case. Words that are also colours, such as silver, are not listed."""
 _BY_WORD = MappingProxyType({word: name for name, words in _SUBSTANCES.items() for word in words.split()})
 _IMITATION = frozenset(("fake", "faux", "imitation", "look", "effect", "like", "spines", "holder", "frame"))
-"""Words with which a name does not state the substance, as in fake leather or spines of leather books."""
+"""Words in a name that make its substance unknown, as in "fake leather" or "spines of leather books"."""
 
 
 def substance_of(surface: Surface) -> str:
@@ -57,7 +57,9 @@ def substance_of(surface: Surface) -> str:
 
 
 def materials_of(parts: Sequence[Part], owners: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Returns the known materials of each object, that of most of its surface first; objects without one are omitted.
+    """Returns the known materials of each object: first the one that covers most of it, then the others by name.
+
+    Objects whose main material is unknown are omitted.
 
     Args:
         parts: visible parts.

@@ -24,12 +24,12 @@ _EYE_M = 0.35
 _REACH_M = 200.0
 _DIRECTIONS = 48
 _MOST_BACKS, _STEP_M = 6, np.float32(1e-3)
-"""Number of back faces, which are not visible, that a ray passes at most, and the step behind each, metres."""
+"""Number of back faces (not visible) at which a ray counts as a hit, and the step of the ray behind each, metres."""
 _SIDES = (0.62, 0.54, 0.57)
-"""Direction that separates the two coincident faces of a double-sided wall; rays are cast against each set, because a
-ray may hit either face first."""
+"""Direction that divides the triangles into two sets, so that the two coincident faces of a double-sided wall are in
+different sets. Rays are cast against each set, because a ray may hit either face first."""
 _OPEN_SHARE = 0.005
-"""Share of upward rays without a hit above which a stage counts as open."""
+"""A stage counts as open if more than this share of the upward rays hit nothing."""
 
 
 def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
@@ -91,8 +91,10 @@ def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> b
 
 
 def _leave(caster: Caster, origins: Singles, directions: Singles) -> NDArray[np.bool_]:
-    """Returns for each of N rays whether it leaves the scene without hitting a front face; a ray that passes too many
-    back faces counts as a hit."""
+    """Returns for each of N rays whether it leaves the scene without hitting a front face.
+
+    A ray that meets `_MOST_BACKS` back faces is treated as if it had hit a front face.
+    """
     left, rest = np.zeros(len(origins), bool), np.arange(len(origins))
     for _ in range(_MOST_BACKS):
         distance, is_back = caster.first_hits(origins[rest], directions[rest], _REACH_M)

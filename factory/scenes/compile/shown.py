@@ -66,7 +66,7 @@ def show_parts(
     Args:
         file: file name of the root layer, for messages.
         extraction: content of the stage.
-        parts: its parts, with floor and ceiling.
+        parts: parts of the stage, and the floor and ceiling that were added.
         selection: category rules, and the target list of the user if there is one.
         has_materials: whether to record the materials of objects.
         notes: notes of the compilation, to which this function adds.
@@ -94,7 +94,7 @@ def show_parts(
 
 
 def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | None:
-    """Returns a texture of the content, or else of a file."""
+    """Returns a texture from the content of the stage or, if it is not there, from a file."""
     if name in extraction.images:
         return extraction.images[name]
     from factory.scenes.importer.assets import read_asset  # OpenUSD

@@ -17,7 +17,7 @@ from factory.scenes.importer.model import Part, Surface
 from factory.scenes.importer.outside_files import ReadableFolder
 from schemas.errors import WorldError
 
-_OUTSIDE = "outside of the scene's folder; move them below it, or allow them with --allow-outside"
+_OUTSIDE = "files outside of the scene's folder (move them below it, or allow them with --allow-outside)"
 
 
 @dataclass
@@ -61,11 +61,12 @@ class SceneFiles:
         return data
 
     def is_usable(self, path: Path, user: str) -> bool:
-        """Returns whether a file exists inside the folders; otherwise `require_all` raises an error that names it."""
+        """Returns whether a file exists inside the folders. If not, `require_all` raises an error that names it."""
         if path != self.root and not self.readable.encloses(str(path)):
             self.add_fault(_OUTSIDE, path, user)
         elif not path.is_file():
-            self.add_fault("missing beside the file that names them and in the folders of --model-dir DIR", path, user)
+            reason = "files missing beside the file that names them and in the folders of --model-dir DIR"
+            self.add_fault(reason, path, user)
         else:
             return True
         return False
@@ -76,7 +77,7 @@ class SceneFiles:
         self._faults.setdefault(reason, {}).setdefault(seen, user)
 
     def require_all(self, may_skip: bool = True) -> None:
-        """Checks that all references can be used; with `skip_missing` and `may_skip`, a missing file only adds a note.
+        """Checks that all references can be used. If the user and `may_skip` permit, a missing file only adds a note.
 
         Raises:
             WorldError: some references cannot be used; the message names all of them.

@@ -78,11 +78,12 @@ class Library:
         """
         place = self.find(uri, folder)
         if uri.startswith(_REMOTE):
-            self.files.add_fault("on the network; download them, and refer to the copies as model://NAME", uri, user)
+            reason = "files on the network (download them, and refer to the copies as model://NAME)"
+            self.files.add_fault(reason, uri, user)
         elif uri.startswith(_NAMED) and not place.exists():
             searched = ", ".join(str(folder) for folder in self.folders)
             self.files.add_fault(
-                f"missing in {searched}; give the folder that contains them with --model-dir DIR", uri, user
+                f"files missing in {searched} (give the folder that contains them with --model-dir DIR)", uri, user
             )
         elif (place.is_dir() and self.files.readable.encloses(str(place))) or self.files.is_usable(place, user):
             return place

@@ -180,7 +180,7 @@ def read_mtl(text: str, folder: Path, files: SceneFiles) -> dict[str, Surface]:
 
 
 def _white_factor(surface: Surface) -> Surface:
-    """Returns the surface; black as factor of a texture, which many exporters write, becomes white."""
+    """Returns the surface. If the factor of a texture is black, which many exporters write, it is replaced by white."""
     is_black = surface.texture and max(surface.colour) <= 0.0
     return replace(surface, colour=(1.0, 1.0, 1.0)) if is_black else surface
 

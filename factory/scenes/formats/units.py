@@ -35,7 +35,7 @@ def resolve_units(file: str, content: Content, limits: StageLimits) -> tuple[Flo
         limits: unit and up axis of the user, which override those of the file.
 
     Raises:
-        UsageError: the file states neither, and the user did not give them.
+        UsageError: the unit or the up axis is neither stated in the file nor given by the user.
         WorldError: the scene would be implausibly small or large.
     """
     corners = content.corners()

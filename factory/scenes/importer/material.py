@@ -1,6 +1,6 @@
 """Reads the base colour or texture of materials: preview surfaces, MaterialX and MDL.
 
-Reads shading networks only. Does not decode textures; an unsupported material does not fail the mesh.
+Reads shading networks only. Does not decode textures. A mesh with an unsupported material is imported without it.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ class ReadableFolder:
     is_open: bool
     """Whether all paths are allowed."""
     also: tuple[Path, ...] = ()
-    """Further folders from which files may be read."""
+    """Additional folders from which files may be read."""
 
     def encloses(self, asset: str) -> bool:
         """Returns whether an absolute asset path, such as `a.usdz[b.png]`, is inside the folder."""

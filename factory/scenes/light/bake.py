@@ -29,8 +29,8 @@ _EVEN_STEPS = (1, 2)
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
 """Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
 _FLOOR_M, _LEVEL = 0.1, 0.9
-"""Charts get contact shade up to this distance from the floor, metres, and above this vertical part of their normal.
-The second limit does not apply to curved charts."""
+"""A chart gets contact shade if it is within this distance of the floor, metres, and the vertical component of its
+normal is above the second number. The second condition does not apply to curved charts."""
 _MIDDLE_GREY = 0.5
 """Mean reflectance without exposure correction."""
 
@@ -140,7 +140,7 @@ def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
 
 
 def _contact(triangles: Floats, floor_m: float, texels: TexelGrid) -> Floats:
-    """Returns (N,) the contact shade of all texels; 1 without computation for charts that cannot be on the floor."""
+    """Returns (N,) the contact shade of all texels; charts that cannot be on the floor get 1 without computation."""
     charts = texels.charts
     height, shade = charts.anchors[..., 2] - floor_m, np.ones(len(texels.chart))
     is_near = (height.min(axis=1) < _FLOOR_M) & (height.max(axis=1) > -_FLOOR_M)

@@ -122,7 +122,7 @@ def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
 
 
 def _fit(normals: Floats, chart: Ints, share: Floats, count: int) -> Floats:
-    """Returns (C, 4, 3) the linear function of the position that fits the normals (N, 3), at the corners of squares."""
+    """Fits a linear function of the position to the normals (N, 3). Returns its values at the corners, (C, 4, 3)."""
     terms = np.concatenate((np.ones((len(chart), 1)), share), axis=1)
     gram = np.stack([np.bincount(chart, terms[:, a] * terms[:, b], count) for a in range(3) for b in range(3)], axis=1)
     right: Floats = np.stack(
@@ -133,7 +133,7 @@ def _fit(normals: Floats, chart: Ints, share: Floats, count: int) -> Floats:
 
 
 def _no_steeper(normals: Floats, flat: Floats, cosine: Floats) -> Floats:
-    """Returns normals (C, 4, 3) whose angle to the plane's normal (C, 3) is limited to that of a cosine (C,)."""
+    """Limits the angle of normals (C, 4, 3) to the plane's normal (C, 3): its cosine is at least `cosine` (C,)."""
     rise = np.maximum(np.einsum("ckn,cn->ck", normals, flat), 1e-3)[..., None]
     lean = normals / rise - flat[:, None]
     lean -= np.einsum("ckn,cn->ck", lean, flat)[..., None] * flat[:, None]

@@ -29,7 +29,7 @@ _SCREEN_M2 = 0.6
 _DOWN = -0.7
 _FULL = 255
 _INDIRECT = 0.7
-"""Share of the ambient light that is light of the lamps from other surfaces; the rest comes from the sky."""
+"""Share of the ambient light that lamps emit and other surfaces reflect; the rest comes from the sky."""
 _CHUNK = 1 << 14
 _OFF_SHARE = 0.03
 """Share of the sky in the light of the surface of a lamp, so that a lamp that is off is not black."""
@@ -126,7 +126,7 @@ def _extremes(values: Floats, chart: Ints, count: int) -> tuple[Floats, Floats]:
 
 
 def _glow(scene: CompiledScene, charts: Charts, cell: tuple[Ints, Ints], chart: Ints) -> Floats:
-    """Returns (C,) the luminance of the charts that emit light, which are those whose texels all have full light."""
+    """Returns (C,) the emitted luminance of charts. A chart emits light if all its texels have full light."""
     is_full = (scene.light_map[cell] == _FULL).all(axis=1)
     emits = np.ones(len(charts.area), bool)
     emits[chart[~is_full]] = False
@@ -141,7 +141,7 @@ def _glow(scene: CompiledScene, charts: Charts, cell: tuple[Ints, Ints], chart: 
 
 
 def _indirect(lamps: Lamps, members: list[Ints], is_strong: list[bool], points: Floats) -> Floats:
-    """Returns (K, N) the share of each group in the indirect light at N points: by power and distance, not by rays."""
+    """Returns (K, N) the share of each group in the indirect light at N points, estimated from power and distance."""
     found = np.zeros((len(members), len(points)))
     for first in range(0, len(points), _CHUNK):
         run = slice(first, first + _CHUNK)

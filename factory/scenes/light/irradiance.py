@@ -1,8 +1,9 @@
 """Computes the light of each texel: ambient light with occlusion, and lamp light with shadows. Deterministic.
 
-Texels of flat charts cast few rays from several spots, in different patterns for neighbours, which are averaged later.
-Texels of curved charts cast more rays in one pattern, so that the light is smooth over small charts. A spot inside a
-solid, or covered by one that rests on the surface, does not count.
+A spot is a position of a texel at which rays start. Texels of flat charts cast few rays from several spots;
+neighbouring texels have different ray patterns, and their light is averaged later. Texels of curved charts cast more
+rays in one pattern, so that the light is smooth over small charts. A spot does not count if it is inside a solid or
+covered by an object that rests on the surface.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ _REACH_M = 1.6
 _CELL_M = 2.5
 _LAMPS_A_CELL = 24
 _HIDDEN_SHARE = 0.35
-"""Share of a spot's rays that meet a back face above which the spot is inside a solid."""
+"""A spot is inside a solid if more than this share of its rays meet a back face."""
 _COVER_M, _COVERED_SHARE = 0.03, 0.7
-"""Distance of a cover, metres, and share of a spot's rays that meet it above which the spot is covered."""
+"""A spot is covered if, within this distance, metres, more than this share of its rays meet a surface."""
 _CHUNK = 1 << 13
 """Number of texels per batch; the working set of a batch fits the processor cache."""
 _LAMP_CHUNK = 1 << 12
@@ -83,8 +84,8 @@ def _sky(caster: Caster, texels: Texels, run: Ints, count: int) -> tuple[Singles
 
 
 def lamp_light(caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, rays: Rays) -> tuple[Floats, Floats]:
-    """Returns (N,) the unoccluded light of the lamps at each texel, and (N,) the share of it that reaches the texel at
-    its spots that count."""
+    """Returns (N,) the unoccluded light of the lamps at each texel, and (N,) the share of this light that reaches the
+    texel, measured at the spots that count."""
     middle = texels.middles
     cell = number_rows(np.column_stack((np.floor(middle / _CELL_M), texels.is_bent)).astype(np.int64))
     order = np.argsort(cell, kind="stable")

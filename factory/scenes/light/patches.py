@@ -16,7 +16,7 @@ from schemas.support.vectors import cross
 
 _WELD_M = 1e-4
 _RECTANGULAR = 0.98
-"""Share of the bounding rectangle above which two triangles are a rectangle."""
+"""Two triangles form a rectangle if they cover more than this share of their bounding rectangle."""
 SQUARE = np.array(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
 """Corners of the unit square, in the order of `Patches.anchors`."""
 
@@ -34,12 +34,12 @@ class Patches:
 
 
 def interpolate(values: Floats, chart: Ints, share: Floats) -> Floats:
-    """Returns (N, S, K) values at S near positions of each of N charts: linear on both sides of the diagonal.
+    """Returns (N, S, K) values at S near positions in each of N charts, interpolated on one side of the diagonal.
 
     Args:
         values: (C, 4, K) values at the corners of the squares.
         chart: (N,) chart of each position.
-        share: (N, S, 2) positions in the square, 0..1; the first decides on the side.
+        share: (N, S, 2) positions in the square, 0..1. The first one determines the side of the diagonal for all S.
     """
     first, second, third, fourth = values.swapaxes(0, 1)
     along, across = np.stack((second - first, third - fourth)), np.stack((third - second, fourth - first))

@@ -9,7 +9,7 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 
 _FILL_ROUNDS = 12
 _NOISE = 0.12
-"""Difference of two values from which they are not averaged; smaller differences are noise of few rays."""
+"""Values that differ by at least this are not averaged; smaller differences are noise, caused by few rays."""
 
 
 def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:

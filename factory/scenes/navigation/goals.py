@@ -66,7 +66,7 @@ class Goals:
 
 
 def batches(goals: Sequence[Goal]) -> Iterator[Rows]:
-    """Yields the numbers of all goals in batches of similar numbers of vertices."""
+    """Yields the indices of all goals in batches; the goals of a batch have similar numbers of vertices."""
     order = np.argsort([len(goal.footprint_m) for goal in goals], kind="stable")
     for first in range(0, len(order), _AT_ONCE):
         yield order[first : first + _AT_ONCE]

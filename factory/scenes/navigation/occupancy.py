@@ -39,7 +39,7 @@ class GridFrame:
 
 
 def build_occupancy(solid: Floats, visible: Floats, floor_m: float) -> tuple[GridFrame, NDArray[np.uint8]]:
-    """Returns the grid of a scene: 0 free floor, 1 occupied or without floor, 2 occupied and hiding.
+    """Returns the grid of a scene: 0 free floor, 1 occupied or without floor, 2 occupied and occluding the view.
 
     Args:
         solid: (T, 3, 3) collider triangles, world metres.
@@ -106,7 +106,10 @@ def _plan_extent(triangles: Floats) -> Floats:
 
 
 def _outlines(triangles: Floats, low: float, high: float) -> tuple[Floats, Floats]:
-    """Returns the plan end points (S, 2), (S, 2) of the triangle sides clipped to the band, cuts included."""
+    """Returns the start points (S, 2) and end points (S, 2), in plan, of the outlines of triangles clipped to a band.
+
+    The outlines consist of the clipped sides, and of the cuts at the lower and the upper height.
+    """
     starts, ends = triangles.reshape(-1, 3), np.roll(triangles, -1, axis=1).reshape(-1, 3)
     rise = ends[:, 2] - starts[:, 2]
     safe = np.where(np.abs(rise) < 1e-12, 1.0, rise)

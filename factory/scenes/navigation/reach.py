@@ -116,7 +116,7 @@ def _ring_tiers(terrain: Terrain, goals: Goals) -> tuple[dict[Tier, Bools], dict
 def _ring(
     terrain: Terrain, goals: Goals, rows: Rows, distance_m: float, *, starts: bool = False
 ) -> tuple[Rows, Floats]:
-    """Returns points (N, 2) at a distance from some goals that see their target, and the goal of each.
+    """Returns points (N, 2) at a distance from some goals from which the target is visible, and the goal of each point.
 
     Args:
         terrain: floor of the scene.
@@ -153,7 +153,7 @@ def sees_matrix(terrain: Terrain, spawns: Floats, targets: tuple[Target, ...], t
 
 
 def _see(terrain: Terrain, spawns: Floats, goals: Goals, wanted: Bools) -> Bools:
-    """Returns (T, S) whether a spawn has a free straight path to a target and sees it; false unless `wanted`."""
+    """Returns (T, S) whether a spawn has a free straight path to a target and sees it; tests `wanted` pairs only."""
     distance = goals.distances(spawns)
     rows, columns = np.nonzero(wanted & (distance >= SEE_RANGE_M[0]) & (distance <= SEE_RANGE_M[1]))
     seen = terrain.grid.see_boxes(spawns[columns], goals.centres[rows], goals.reaches[rows])

@@ -20,7 +20,7 @@ from workers.render import RenderedFrame, Renderer
 _HEADINGS = 10
 _NEAR_M, _FULL_DEPTH_M = 0.7, 4.0
 _SATURATED = 0.05
-"""Share of the frame above which an object does not increase the score."""
+"""Share of the frame up to which a larger object increases the score."""
 _CLUTTER = 0.15
 """Weight of an object that is not a target, relative to a target."""
 _SEEN_BEFORE = 0.3
@@ -79,7 +79,7 @@ def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> 
 
 
 def score_view(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
-    """Returns the score of a frame: it counts large objects at different depths that earlier images do not show.
+    """Returns the score of a frame: high for large and distant objects that earlier images do not show.
 
     Args:
         frame: rendered frame.

@@ -129,8 +129,7 @@ def coarse_map(scene: CompiledScene) -> Bools:
 def map_distance(one: Bools, two: Bools) -> float:
     """Returns the share of occupied cells that two maps do not have in common, 0..1.
 
-    The corners of the maps are aligned; of the eight rotations and reflections, the one with the most common cells
-    counts.
+    The corners of the maps are aligned. The smallest share over the eight rotations and reflections is returned.
     """
     turned = [np.rot90(mirrored, turn) for mirrored in (two, two[:, ::-1]) for turn in range(4)]
     return min(_jaccard(one, other) for other in turned)

@@ -94,7 +94,7 @@ def report_survey(
 def _sees(scene: CompiledScene, success: SuccessMeasure) -> NDArray[np.uint8]:
     """Returns (spawns, targets): 1 where a target is reachable by straight driving.
 
-    The package contains the values by centroid; those by surface are computed here.
+    The package contains the values for distances to the centroid. Those for distances to the surface are computed here.
     """
     if success is SuccessMeasure.CENTROID:
         return scene.spawn_sees

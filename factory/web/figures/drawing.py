@@ -34,7 +34,7 @@ _CODE = (Path(factory.report.__file__).parent, Path(factory.stats.__file__).pare
 def draw_statistics(
     root: Place, on_progress: Callable[[int, int], None], first_opened: int = FIRST_OPENED
 ) -> Iterator[DrawnStatistics]:
-    """Yields the figures of a dataset: first from some episodes if there are many, then from as many as in the report.
+    """Yields the figures of a dataset: of a large one, first from `first_opened` episodes, then as in the report.
 
     Complete figures are cached by the content of the tables. The files of the episodes are not part of the key.
 
@@ -81,7 +81,7 @@ def _card(figure: Figure) -> FigureCard:
 
 
 def _themed(svg: str) -> str:
-    """Returns a drawing as a separate image that follows the colour scheme."""
+    """Returns a drawing as a separate image with the light or dark colours that the browser requests."""
     style = (
         f"<style>:root {{ {css_variables(dark=False)} }} @media (prefers-color-scheme: dark) {{ :root "
         f"{{ {css_variables(dark=True)} }} }}</style>"

@@ -34,7 +34,7 @@ def main(name: str) -> None:
             _write(Message(done=done, total=total))
 
     try:
-        from factory.web.figures.drawing import draw_statistics  # its packages may be missing
+        from factory.web.figures.drawing import draw_statistics  # needs packages that may not be installed
 
         for drawn in draw_statistics(site_of(name).place, tell):
             _write(Message(drawn=drawn))

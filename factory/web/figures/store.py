@@ -83,7 +83,8 @@ class StatisticsStore(Closing):
             assert process.stdout is not None
             for line in process.stdout:
                 self._take(Message.model_validate_json(line))
-        failure = f"the figures cannot be drawn: their process ended with code {process.returncode}; see its message"
+        code = process.returncode
+        failure = f"the figures cannot be drawn: the drawing process ended with code {code}; see the log of the server"
         with self._lock:
             trouble = self._state.trouble or (failure if process.returncode else "")
             self._state = StatisticsState(self._state.drawn, trouble)

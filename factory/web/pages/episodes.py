@@ -77,8 +77,8 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
 
 
 def prepare_scenes(context: WebContext, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Renders the first frame of one episode for each of the first scenes, in the background. During a run, only the
-    first page does this, for one scene, because each scene takes about a second of CPU time from the run."""
+    """Renders the first frame of one episode of each scene of a page, in the background. During a run, only the first
+    page does this, for one scene, because each scene takes about a second of CPU time from the run."""
     shown = first_frames([row["scene"] for row in rows], [row["episode_id"] for row in rows])
     if not context.workspace.is_written():
         context.frames.prepare(shown)
@@ -95,7 +95,10 @@ def _cells(row: Mapping[str, Any]) -> list[tuple[str, bool]]:
 
 
 def _heads(query: TableQuery) -> Iterator[tuple[str, str, str]]:
-    """Yields title, link and direction of sorting of each column; both are empty where they do not apply."""
+    """Yields title, link and direction of sorting of each column.
+
+    The link is empty if the table cannot be sorted by the column; the direction, if it is not sorted by it now.
+    """
     for name, title in _SHOWN:
         is_sorted = name == query.sort
         direction = "" if not is_sorted else "descending" if query.descending else "ascending"

@@ -54,7 +54,7 @@ class WorkerRow:
     slots: int
     archived: int
     jobs: str
-    """Held jobs with their steps."""
+    """Jobs of the worker with their steps."""
     frames_per_s: str
     version: str
     state: str

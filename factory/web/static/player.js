@@ -16,7 +16,7 @@ let playing = false;
 let turn = 0; // number of the newest playback
 let pace = stride; // steps from one shown frame to the next
 
-// while it plays: small images, but stored colour frames as they are, because the server need not decode them
+// During playback, images are small, except stored colour frames, which the server sends without decoding them.
 function source(t, kind) {
   const isSmall = playing && (kind !== "rgb" || player.dataset.rendered);
   return `${player.dataset.here}${isSmall ? `playback/${t}` : `frames/${t}.png`}?kind=${kind}`;
@@ -77,7 +77,7 @@ function mark(t) {
   player.dataset.t = t;
 }
 
-// shows frames at their times, on a slow machine every second, fourth or eighth, so that no image is loaded in vain
+// Shows each frame at its time. A slow machine shows only every second, fourth or eighth frame and loads no others.
 async function run() {
   const mine = ++turn;
   const goesOn = () => playing && turn === mine;

@@ -1,7 +1,7 @@
 """Layout of the family `home`: five to nine rooms, with or without a hall, with seeded sizes, doors, furniture and
 style.
 
-Chooses the building program and the style. `home_rooms` furnishes the rooms.
+Chooses the rooms and the style. `home_rooms` furnishes the rooms.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def lay_out_home(plan: FloorPlan) -> None:
     """Builds the rooms of one storey, then furnishes them.
 
     Raises:
-        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+        WorldError: no division of the floor into the chosen rooms was found; another seed may have one.
     """
     palette = draw_palette(plan.rng)
     division = _divide(plan.rng)
@@ -46,7 +46,7 @@ def lay_out_home(plan: FloorPlan) -> None:
 
 
 def _divide(rng: Generator) -> Division:
-    """Draws the program and the outline; a hall in half of the homes."""
+    """Chooses the rooms and the outline at random; half of the homes have a hall."""
     has_hall = bool(rng.random() < 0.5)
     specs = [
         RoomSpec("living", float(rng.uniform(30, 42)), 4.2, True),

@@ -1,6 +1,6 @@
 """Furnishes the rooms of a home: lounge and dining room, kitchen, bedrooms, bath, study, laundry and hall.
 
-Places props in metres; larger ones first. Does not build walls.
+Lengths in metres. Places larger props first. Does not build walls.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) 
 
 
 def _living(own: Furnisher) -> None:
-    """A sofa opposite a television; arm chairs, a low table on a rug, shelves, perhaps a fireplace and a piano."""
+    """Places a sofa opposite a television, arm chairs, a table on a rug, shelves, sometimes a fireplace or a piano."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     sides = own.sides()
     for side, clearance in [(side, clearance) for clearance in (0.3, 0.05) for side in sides]:
@@ -102,7 +102,7 @@ def _living(own: Furnisher) -> None:
 
 
 def _seats(own: Furnisher, side: str, media: PropPlacement) -> None:
-    """A sofa that faces the media bench, with a rug, a coffee table, an arm chair and an ottoman."""
+    """Places a sofa that faces the television cabinet, with a rug, a coffee table, arm chairs and an ottoman."""
     plan, rng, cover = own.plan, own.rng, own.palette.cover
     reach = min(float(rng.uniform(2.5, 3.1)), (own.area.depth if side in "NS" else own.area.width) - 0.9)
     into = (math.sin(media.yaw), -math.cos(media.yaw))
@@ -124,7 +124,7 @@ def _seats(own: Furnisher, side: str, media: PropPlacement) -> None:
 
 
 def _dining(own: Furnisher) -> None:
-    """A table with chairs, a sideboard, a plant and pictures."""
+    """Places a table with chairs, a sideboard, a plant and pictures."""
     _dining_group(own, along_wall=False)
     board = own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.5)
     own.dress(board, ("SM_LampSmall", *_ON_BOARDS), 3)
@@ -135,7 +135,7 @@ def _dining(own: Furnisher) -> None:
 
 
 def _dining_group(own: Furnisher, along_wall: bool) -> None:
-    """A dining table with four chairs in the middle of a room, or near a wall of a larger one."""
+    """Places a dining table with four chairs in the middle of a room, or near a wall of a larger room."""
     plan, rng = own.plan, own.rng
     table = plan.props.model("SM_TableDining_E", own.palette.wood)
     kind, look = (("SM_ChairWood_D", own.palette.wood), ("SM_ChairWaiting_E", own.palette.cover))[plan.pick(2)]
@@ -156,7 +156,7 @@ def _dining_group(own: Furnisher, along_wall: bool) -> None:
 
 
 def _chairs(own: Furnisher, table: PropPlacement, kind: str, look: int) -> None:
-    """Two chairs on each long side of a table, and one at its end."""
+    """Places two chairs on each long side of a table, and one at its end."""
     c, s = math.cos(table.yaw), math.sin(table.yaw)
     half = float(table.model.high[1])
     seats = [(a, side * (half + 0.10), 0.0 if side > 0 else math.pi) for a in (-0.33, 0.33) for side in (-1, 1)]
@@ -169,7 +169,7 @@ def _chairs(own: Furnisher, table: PropPlacement, kind: str, look: int) -> None:
 
 
 def _kitchen(own: Furnisher) -> None:
-    """A row of units with sink, oven, dishwasher and refrigerator; an island or a table where it fits."""
+    """Places a row of units with sink, oven, dishwasher and refrigerator, and an island or a table if it fits."""
     plan, look = own.plan, own.palette.wood
     sides = own.sides()
     main = kitchen_row(own, sides, look, _UNITS, ("SM_Microwave", "SM_CoffeeMachine"))
@@ -194,7 +194,7 @@ def _kitchen(own: Furnisher) -> None:
 
 
 def _bedroom(own: Furnisher) -> None:
-    """A bed with its head at a wall and night stands, a wardrobe, a dresser, a lounge chair, a rug."""
+    """Places a bed with its head at a wall, night stands, a wardrobe, a dresser, a lounge chair and a rug."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     variant = look + plan.pick(3)
     tries = (own.wall_piece("SM_BedDouble", variant, clearance=free_m, gap=0.01) for free_m in (0.75, 0.4, 0.1))
@@ -227,7 +227,7 @@ def _top_of(piece: PropPlacement) -> float:
 
 
 def _bath(own: Furnisher) -> None:
-    """A bathtub, a toilet, a basin, a basket and a towel rail."""
+    """Places a bathtub, a toilet, a basin, a basket and a towel rail."""
     plan = own.plan
     own.wall_piece("SM_BathTub", plan.pick(3), clearance=0.2, gap=0.02)
     own.wall_piece("SM_WashBasin", plan.pick(3), clearance=0.15, gap=0.0)
@@ -239,7 +239,7 @@ def _bath(own: Furnisher) -> None:
 
 
 def _study(own: Furnisher) -> None:
-    """A desk with a monitor and a chair, book cases, an arm chair."""
+    """Places a desk with a monitor and a chair, book cases and an arm chair."""
     plan, look = own.plan, own.palette.wood
     desk = own.wall_piece("SM_TableDesk_A", look, clearance=0.5, gap=0.05)
     if desk is not None:
@@ -256,7 +256,7 @@ def _study(own: Furnisher) -> None:
 
 
 def _laundry(own: Furnisher) -> None:
-    """Washing machines, a basket, a cabinet and a fan."""
+    """Places washing machines, a basket, a cabinet and a fan."""
     plan = own.plan
     first = own.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
     if first is not None:
@@ -267,7 +267,7 @@ def _laundry(own: Furnisher) -> None:
 
 
 def _hall(own: Furnisher) -> None:
-    """A bench, a mirror, bags and a plant along a hall whose middle stays free."""
+    """Places a bench, a mirror, bags and a plant along the walls of a hall whose middle stays free."""
     plan = own.plan
     own.small(("SM_Backpack", "SM_Suitcase", "SM_Vase")[plan.pick(2) :], 0.5)
     if min(own.area.width, own.area.depth) > 1.9:

@@ -1,7 +1,7 @@
 """Layout of the family `hospital`: wards, treatment rooms, a waiting hall and service rooms along halls.
 
-The program, the halls, the sizes, order and doors of the rooms and the style differ by seed. `hospital_rooms`
-furnishes.
+The kinds, sizes, order and doors of the rooms, the halls and the style differ by seed. `hospital_rooms` furnishes the
+rooms.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def lay_out_hospital(plan: FloorPlan) -> None:
     """Builds the rooms of one floor, then furnishes them.
 
     Raises:
-        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+        WorldError: no division of the floor into the chosen rooms was found; another seed may have one.
     """
     palette, rng = draw_palette(plan.rng, CLINIC), plan.rng
     ceiling, height = _CEILINGS[plan.pick(len(_CEILINGS))], float(rng.choice((2.7, 2.8, 3.0)))
@@ -42,7 +42,7 @@ def lay_out_hospital(plan: FloorPlan) -> None:
 
 
 def _divide(plan: FloorPlan) -> Division:
-    """Draws the program, the halls and the outline."""
+    """Chooses the rooms, the halls and the outline at random."""
     rng = plan.rng
     specs, hall = _program(plan), float(rng.uniform(2.2, 3.0))
     area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.0, 1.7))
@@ -54,7 +54,7 @@ def _divide(plan: FloorPlan) -> Division:
 
 
 def _program(plan: FloorPlan) -> list[RoomSpec]:
-    """Draws the rooms of a floor with more wards or more treatment rooms."""
+    """Chooses at random the rooms of a floor with more wards or more treatment rooms."""
     rng = plan.rng
     wards, exams = ((4, 1), (3, 2), (2, 3), (5, 1), (3, 1))[plan.pick(5)]
 
@@ -77,7 +77,7 @@ def _program(plan: FloorPlan) -> list[RoomSpec]:
 
 
 def _trim(plan: FloorPlan) -> Trim:
-    """Draws the trim of the walls: in most hospitals a darker dado, in many of them with a rail for beds."""
+    """Chooses the trim of the walls at random: most hospitals have a darker dado, many of these a rail for beds."""
     skirting = (painted("Charcoal", 0.5), painted("Grey", 0.5), painted("White", 0.45))[plan.pick(3)]
     frame = (wood("Oak"), wood("Pale"), painted("LightGrey", 0.5), painted("SkyBlue", 0.5), painted("White", 0.45))
     if plan.rng.random() < 0.25:

@@ -1,6 +1,6 @@
 """Furnishes the rooms of a hospital: wards, treatment rooms, waiting hall, reception, service rooms and hall.
 
-Places props in metres; larger ones first. Does not build walls.
+Lengths in metres. Places larger props first. Does not build walls.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def furnish_hospital(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palet
 
 
 def _signs(own: Furnisher) -> None:
-    """Hangs a lit sign above each door on its other side."""
+    """Mounts a lit sign above each door, on the outside of the room."""
     for side, centres in own.room.doors.items():
         for centre in centres:
             out = WALL_THICKNESS_M
@@ -61,7 +61,7 @@ def _signs(own: Furnisher) -> None:
 
 
 def _ward(own: Furnisher) -> None:
-    """Beds with their heads at one or two walls, curtains between them, seats for visitors, a basin, a cabinet."""
+    """Places beds with their heads at one or two walls, curtains between them, visitors' seats, basin and cabinet."""
     look = own.plan.pick(6)
     sides = sorted(own.sides(), key=lambda side: (side in own.room.doors, side in own.room.outside))
     beds = _bed_row(own, sides[0], look)
@@ -123,7 +123,7 @@ def _beside_bed(own: Furnisher, bed: PropPlacement | None, look: int, turn: floa
 
 
 def _exam(own: Furnisher) -> None:
-    """A couch, a desk with a screen, a trolley, a basin, cabinets, stools and a board."""
+    """Places a couch, a desk with a screen, a trolley, a basin, cabinets, stools and a board."""
     plan = own.plan
     bed = own.wall_piece("SM_Bed", plan.pick(6), clearance=0.4, gap=0.15)
     if bed is not None and own.rng.random() < 0.5:
@@ -139,7 +139,7 @@ def _exam(own: Furnisher) -> None:
 
 
 def _waiting(own: Furnisher) -> None:
-    """Seats in rows, along the walls or in groups; a television, plants, machines and things for children."""
+    """Places seats in rows, along the walls or in groups, a television, plants, machines and things for children."""
     plan = own.plan
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
     has_rows = own.rng.random() < 0.65
@@ -162,7 +162,7 @@ def _waiting(own: Furnisher) -> None:
 
 
 def _seats_in_rows(own: Furnisher, kind: str, look: int) -> None:
-    """Double rows of seats back to back in the middle, with aisles of at least 1.6 m."""
+    """Places double rows of seats back to back in the middle, with aisles of at least 1.6 m."""
     plan, area = own.plan, own.area
     is_along_x = area.width >= area.depth
     length, across = (area.width, area.depth) if is_along_x else (area.depth, area.width)
@@ -181,7 +181,7 @@ def _seats_in_rows(own: Furnisher, kind: str, look: int) -> None:
 
 
 def _seats_at_walls(own: Furnisher, kind: str, look: int) -> None:
-    """Rows of seats along the walls around an open floor."""
+    """Places rows of seats along the walls around an open floor."""
     for side in own.sides()[:3]:
         count = max(2, int(own.length(side) * 0.55 // _SEAT_PITCH_M))
         model = own.model(kind, look)
@@ -195,7 +195,7 @@ def _seats_at_walls(own: Furnisher, kind: str, look: int) -> None:
 
 
 def _reception(own: Furnisher) -> None:
-    """One or two counters, stools and cabinets behind them, seats before them."""
+    """Places one or two counters, stools and cabinets behind them, and seats in front of them."""
     plan, side = own.plan, own.sides()[0]
     shares = (0.28, 0.72) if own.length(side) > 7.4 else (0.5,)
     variant = plan.pick(3)
@@ -217,7 +217,7 @@ def _reception(own: Furnisher) -> None:
 
 
 def _nurses(own: Furnisher) -> None:
-    """Desks with screens along the walls, a board, trolleys and cabinets."""
+    """Places desks with screens along the walls, a board, trolleys and cabinets."""
     for _ in range(2 + own.plan.pick(2)):
         desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
         workplace(own, desk, own.palette.cover, is_second=True)
@@ -229,7 +229,7 @@ def _nurses(own: Furnisher) -> None:
 
 
 def _staff(own: Furnisher) -> None:
-    """A kitchen row, a round table, a sofa, lockers."""
+    """Places a row of kitchen units, a round table, a sofa and lockers."""
     kitchen_row(own, own.sides(), own.palette.wood, ("SM_SinkUnit", "SM_KitchenUnit", "SM_KitchenUnit"),
                 ("SM_CoffeeMachine", "SM_Microwave"))  # fmt: skip
     own.wall_piece("SM_Locker", own.palette.cover, clearance=0.2)
@@ -242,7 +242,7 @@ def _staff(own: Furnisher) -> None:
 
 
 def _consulting(own: Furnisher) -> None:
-    """A doctor's desk with seats for visitors, a couch, shelves."""
+    """Places a doctor's desk with seats for visitors, a couch and shelves."""
     desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.5, gap=0.06)
     workplace(own, desk, own.palette.cover)
     own.small(("SM_ChairVisitor_C", "SM_ChairVisitor_C", "SM_TrashCan_A", "SM_Plant_A", "SM_Stool_F"), 0.35)
@@ -254,14 +254,14 @@ def _consulting(own: Furnisher) -> None:
 
 
 def _store(own: Furnisher) -> None:
-    """Steel shelves, cartons, wheelchairs and stands."""
+    """Places steel shelves, cartons, wheelchairs and stands."""
     for number in range(2 + own.plan.pick(2)):
         own.wall_piece("SM_ShelfSteel_A", number, clearance=0.12)
     own.small(("SM_WheelChair", "SM_CartonSingle", "SM_Trolley", "SM_CartonSingle", "SM_DripStand"), 0.25)
 
 
 def _wash(own: Furnisher) -> None:
-    """Toilets, basins and bins."""
+    """Places toilets, basins and bins."""
     for _ in range(2):
         own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
         own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
@@ -269,7 +269,7 @@ def _wash(own: Furnisher) -> None:
 
 
 def _hall(own: Furnisher) -> None:
-    """Extinguishers, bins, seats, trolleys and wheelchairs along the walls; notices and pictures."""
+    """Places extinguishers, bins, seats, trolleys and wheelchairs along the walls, and mounts notices and pictures."""
     plan = own.plan
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
     for _ in range(plan.pick(4)):

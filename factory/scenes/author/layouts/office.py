@@ -1,6 +1,7 @@
 """Layout of the family `office`: open plan rooms, private offices, meeting rooms and service rooms along halls.
 
-The program, the halls, the sizes, order and doors of the rooms and the style differ by seed. `office_rooms` furnishes.
+The kinds, sizes, order and doors of the rooms, the halls and the style differ by seed. `office_rooms` furnishes the
+rooms.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def lay_out_office(plan: FloorPlan) -> None:
     """Builds the rooms of one storey, then furnishes them.
 
     Raises:
-        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+        WorldError: no division of the floor into the chosen rooms was found; another seed may have one.
     """
     palette, rng = draw_palette(plan.rng, OFFICE), plan.rng
     ceiling, height = _CEILINGS[plan.pick(len(_CEILINGS))], float(rng.choice((2.7, 2.8, 3.0, 3.3)))
@@ -39,7 +40,7 @@ def lay_out_office(plan: FloorPlan) -> None:
 
 
 def _divide(plan: FloorPlan) -> Division:
-    """Draws the program, the halls and the outline."""
+    """Chooses the rooms, the halls and the outline at random."""
     rng = plan.rng
     specs, hall = _program(plan), float(rng.uniform(1.8, 2.5))
     area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.0, 1.6))
@@ -51,7 +52,7 @@ def _divide(plan: FloorPlan) -> Division:
 
 
 def _scheme(plan: FloorPlan, rooms: int, area_m2: float, hall_m: float) -> Scheme:
-    """Draws an arrangement of the halls that suits the size of the building."""
+    """Chooses at random an arrangement of the halls that suits the size of the building."""
     schemes = [spine_hall(hall_m), spine_hall(hall_m), t_hall(hall_m), l_hall(hall_m), l_hall(hall_m)]
     if rooms <= 8:
         schemes += [no_hall, no_hall]
@@ -61,7 +62,7 @@ def _scheme(plan: FloorPlan, rooms: int, area_m2: float, hall_m: float) -> Schem
 
 
 def _program(plan: FloorPlan) -> list[RoomSpec]:
-    """Draws the rooms of an office with few, some or many rooms for one person."""
+    """Chooses at random the rooms of an office with few, some or many rooms for one person."""
     rng = plan.rng
     open_rooms, private = ((3, 1), (2, 2), (2, 3), (1, 4), (1, 3))[plan.pick(5)]
 

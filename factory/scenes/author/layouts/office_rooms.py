@@ -1,6 +1,6 @@
 """Furnishes the rooms of an office: open plan, private, meeting, lounge, kitchen, reception, service rooms and hall.
 
-Places props in metres; larger ones first. Does not build walls.
+Lengths in metres. Places larger props first. Does not build walls.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def furnish_office(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette
 
 
 def _open_plan(own: Furnisher) -> None:
-    """Desks in islands, in rows or along the walls; boards, cabinets, plants and bins, in some rooms a seat group."""
+    """Places desks in islands, in rows or along the walls, boards, cabinets, plants, bins, sometimes a seat group."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     chair = plan.pick(5)
     own.wall_piece("SM_Whiteboard_A", None, clearance=0.3)
@@ -82,7 +82,7 @@ def _open_plan(own: Furnisher) -> None:
 
 
 def _islands(own: Furnisher, chair: int) -> None:
-    """Islands of desks back to back, two or three long, with aisles of at least 1.5 m."""
+    """Places islands of two or three pairs of desks back to back, with aisles of at least 1.5 m."""
     plan, area = own.plan, own.area
     desk = own.model("SM_TableDesk_A", own.palette.wood)
     width, depth = (float(high - low) + 0.02 for low, high in zip(desk.low[:2], desk.high[:2], strict=True))
@@ -104,7 +104,7 @@ def _islands(own: Furnisher, chair: int) -> None:
 
 
 def _rows(own: Furnisher, chair: int) -> None:
-    """Desks in rows that face one wall, in pairs with aisles of 1.2 m."""
+    """Places desks in rows that face one wall, in pairs with aisles of 1.2 m."""
     plan, look, front = own.plan, own.palette.wood, own.sides()[0]
     desk = own.model("SM_TableDesk_A", look)
     width = float(desk.high[0] - desk.low[0]) + 0.02
@@ -120,7 +120,7 @@ def _rows(own: Furnisher, chair: int) -> None:
 
 
 def _wall_desks(own: Furnisher, chair: int) -> None:
-    """Desks along the walls, and a table with chairs in the middle."""
+    """Places desks along the walls, and a table with chairs in the middle."""
     desk = own.model("SM_TableDesk_A", own.palette.wood)
     for _ in range(int((own.area.width + own.area.depth) / 2.2)):
         workplace(own, own.wall_piece("SM_TableDesk_A", own.palette.wood, None, 0.35, 0.06), chair, is_second=True)
@@ -142,7 +142,7 @@ def _on_table(own: Furnisher, table: PropPlacement) -> None:
 
 
 def _private(own: Furnisher) -> None:
-    """One desk at a wall or some distance in front of it, a seat for visitors, a cabinet, shelves and pictures."""
+    """Places a desk at a wall or in front of it, a seat for visitors, a cabinet, shelves and pictures."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     chair = plan.pick(5)
     front = own.sides()[plan.pick(2)]
@@ -167,7 +167,7 @@ def _private(own: Furnisher) -> None:
 
 
 def _meeting(own: Furnisher) -> None:
-    """One or two tables in a line, or a round one, with chairs; a board, a screen, a cabinet."""
+    """Places one or two tables in a line, or a round table, with chairs, and a board, a screen and a cabinet."""
     plan, rng = own.plan, own.rng
     kind, look = ("SM_ChairVisitor_C", "SM_ChairOffice_A", "SM_ChairWaiting_E")[plan.pick(3)], plan.pick(5)
     own.wall_piece("SM_Whiteboard_A", None, clearance=0.3)
@@ -192,7 +192,7 @@ def _meeting(own: Furnisher) -> None:
 
 
 def _lounge(own: Furnisher) -> None:
-    """Groups of seats, a bistro table, shelves, plants and pictures."""
+    """Places groups of seats, a bistro table, shelves, plants and pictures."""
     plan, rng = own.plan, own.rng
     seat_group(own, rug=0)
     if own.area.width * own.area.depth > 26:
@@ -213,7 +213,7 @@ def _lounge(own: Furnisher) -> None:
 
 
 def _kitchen(own: Furnisher) -> None:
-    """A row of units with a sink and a dishwasher, a refrigerator, round tables or a counter with stools."""
+    """Places a row of units with a sink and a dishwasher, a refrigerator, and round tables or a counter with stools."""
     plan, rng, look = own.plan, own.rng, own.palette.wood
     sides = own.sides()
     main = kitchen_row(own, sides, look, _UNITS, ("SM_Microwave", "SM_CoffeeMachine"))
@@ -238,7 +238,7 @@ def _kitchen(own: Furnisher) -> None:
 
 
 def _reception(own: Furnisher) -> None:
-    """A counter near a wall with a stool and cabinets behind it, seats for visitors, plants."""
+    """Places a counter near a wall with a stool and cabinets behind it, seats for visitors and plants."""
     plan, side = own.plan, own.sides()[0]
     counter = own.model("SM_Reception")
     for clearance in (0.6, 0.3):
@@ -258,7 +258,7 @@ def _reception(own: Furnisher) -> None:
 
 
 def _library(own: Furnisher) -> None:
-    """Book cases, arm chairs with a lamp, a desk for quiet work."""
+    """Places book cases, arm chairs with a lamp and a desk for quiet work."""
     for number in range(3 + own.plan.pick(3)):
         own.wall_piece("SM_ShelfBook_B", own.palette.wood + 4 * number, clearance=0.12)
     seat_group(own, rug=1)
@@ -268,7 +268,7 @@ def _library(own: Furnisher) -> None:
 
 
 def _print(own: Furnisher) -> None:
-    """Copiers, cabinets, cartons of paper and a bin."""
+    """Places copiers, cabinets, cartons of paper and a bin."""
     own.wall_piece("SM_Copier", clearance=0.3)
     own.wall_piece("SM_Printer", clearance=0.3)
     own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3), ("SM_Papers", "SM_Tray", "SM_BookRow"))
@@ -278,7 +278,7 @@ def _print(own: Furnisher) -> None:
 
 
 def _store(own: Furnisher) -> None:
-    """Steel shelves, cartons, a ladder, computers and a fan."""
+    """Places steel shelves, cartons, a ladder, computers and a fan."""
     for number in range(2 + own.plan.pick(2)):
         own.wall_piece("SM_ShelfSteel_A", number, clearance=0.12)
     own.wall_piece("SM_Locker", clearance=0.2)
@@ -286,7 +286,7 @@ def _store(own: Furnisher) -> None:
 
 
 def _wash(own: Furnisher) -> None:
-    """Toilets, basins with a mirror and a bin."""
+    """Places toilets, basins with a mirror and a bin."""
     for _ in range(2):
         own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
         own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
@@ -294,7 +294,7 @@ def _wash(own: Furnisher) -> None:
 
 
 def _hall(own: Furnisher) -> None:
-    """Plants, bins, extinguishers, benches and lockers along the walls; pictures and boards."""
+    """Places plants, bins, extinguishers, benches and lockers along the walls, and mounts pictures and boards."""
     plan, rng = own.plan, own.rng
     is_wide = min(own.area.width, own.area.depth) > 2.1
     if is_wide and rng.random() < 0.6:

@@ -46,7 +46,7 @@ class RackPlan(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """Row of storage units: kind, position across the rows, direction of its front across the rows."""
+    """Row of storage units: kind, position across the rows, and direction of the front (-1 or 1 across the rows)."""
 
     kind: str
     at: float
@@ -54,7 +54,7 @@ class _Row(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """Converts positions along and across the rows to the world."""
+    """Converts positions along and across the rows to world coordinates."""
 
     area: Rectangle
     is_along_x: bool
@@ -88,7 +88,7 @@ def fill_with_racks(own: Furnisher, area: Rectangle, racks: RackPlan) -> int:
 
 
 def _rows(own: Furnisher, width: float, racks: RackPlan) -> Iterator[_Row]:
-    """Yields the rows, spread evenly over the width; those of a double row have their backs to each other."""
+    """Yields the rows, spread evenly over the width; the two rows of a double row are back to back."""
     pitch = RACK_DEPTH_M + racks.aisle_m
     groups: list[tuple[str, bool]] = []
     used = 0.0

@@ -31,7 +31,7 @@ def lay_out_school(plan: FloorPlan) -> None:
     """Builds the rooms, then furnishes them.
 
     Raises:
-        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+        WorldError: no division of the floor into the chosen rooms was found; another seed may have one.
     """
     palette = draw_palette(plan.rng, PUBLIC)
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
@@ -79,7 +79,7 @@ def _looks(palette: Palette) -> dict[str, RoomLook]:
 
 
 def _class(own: Furnisher) -> None:
-    """A whiteboard and a teacher's desk at one wall, rows of pupils' desks towards it, shelves and bags."""
+    """Places a whiteboard and a teacher's desk at one wall, rows of pupils' desks that face it, shelves and bags."""
     plan, rng = own.plan, own.rng
     front = own.sides()[0]
     board = own.wall_piece("SM_Whiteboard_A", None, front, 0.2)
@@ -105,7 +105,7 @@ def _class(own: Furnisher) -> None:
 
 
 def _desks(own: Furnisher, front: str, depth: float) -> None:
-    """Rows of desks for two with two chairs each; aisles of at least 0.9 m."""
+    """Places rows of desks for two pupils, each with two chairs, and aisles of at least 0.9 m."""
     plan, rng = own.plan, own.rng
     width = own.length(front)
     columns = max(1, int((width - 0.8) // 2.05))
@@ -132,7 +132,7 @@ def _desks(own: Furnisher, front: str, depth: float) -> None:
 
 
 def _library(own: Furnisher) -> None:
-    """Book cases along the walls, a reading table, lounge chairs, a floor lamp."""
+    """Places book cases along the walls, a reading table, lounge chairs and a floor lamp."""
     for number in range(6):
         own.wall_piece("SM_ShelfBook_B", own.palette.wood + 4 * number, clearance=0.12)
     table = own.plan.place(own.model("SM_TableMeeting_B", own.palette.wood), *own.area.centre, 0.0, own.area, 0.8)
@@ -153,7 +153,7 @@ def _library(own: Furnisher) -> None:
 
 
 def _computing(own: Furnisher) -> None:
-    """Desks with screens and computers along the walls, a copier, a whiteboard."""
+    """Places desks with screens and computers along the walls, a copier and a whiteboard."""
     own.wall_piece("SM_Whiteboard_A", clearance=0.2)
     for _ in range(6):
         desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.25, gap=0.05)
@@ -164,7 +164,7 @@ def _computing(own: Furnisher) -> None:
 
 
 def _staff(own: Furnisher) -> None:
-    """A table with chairs, a sofa, a copier, a kitchen unit with a coffee machine, lockers."""
+    """Places a table with chairs, a sofa, a copier, a kitchen unit with a coffee machine and lockers."""
     unit = own.wall_piece("SM_KitchenUnit", own.palette.wood, clearance=0.1)
     if unit is not None:
         own.on_top("SM_CoffeeMachine", None, unit, 0.90)
@@ -188,7 +188,7 @@ def _staff(own: Furnisher) -> None:
 
 
 def _wash(own: Furnisher) -> None:
-    """Basins, toilets and a bin."""
+    """Places basins, toilets and a bin."""
     for _ in range(2):
         own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
         own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
@@ -196,7 +196,7 @@ def _wash(own: Furnisher) -> None:
 
 
 def _hall(own: Furnisher) -> None:
-    """Lockers, benches, bags, a bicycle, a vending machine, cones and extinguishers."""
+    """Places lockers, benches, bags, a bicycle, a vending machine, cones and extinguishers."""
     for number in range(4):
         own.wall_piece("SM_Locker", own.palette.cover, ("NS", "SN")[number % 2], clearance=0.25)
     own.wall_piece("SM_VendingMachine", clearance=0.4)

@@ -1,6 +1,6 @@
 """Layout of the family `shop`: a sales floor with rows of shelves or clothes, a store room, an office, a wash room.
 
-Draws a grocery, a clothes shop or a household shop; the sales floor, the rows and the style differ by seed.
+The seed determines the kind of shop (grocery, clothes or household), the sales floor, the rows and the style.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def lay_out_shop(plan: FloorPlan) -> None:
     """Builds the rooms, then furnishes them.
 
     Raises:
-        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+        WorldError: no division of the floor into the chosen rooms was found; another seed may have one.
     """
     palette = draw_palette(plan.rng, PUBLIC)
     trade = tuple(_GOODS)[plan.pick(3)]
@@ -86,7 +86,7 @@ def _looks(palette: Palette) -> dict[str, RoomLook]:
 
 
 def _sales(own: Furnisher, trade: str) -> None:
-    """Checkouts near a wall, cold cases along the walls, rows of goods in the middle, carts and baskets."""
+    """Places checkouts near a wall, cold cases along the walls, rows of goods in the middle, carts and baskets."""
     plan = own.plan
     for name in ("SM_FreezerUpright", "SM_ClothesRail"):
         own.wall_piece(name, own.palette.cover, clearance=0.3, gap=0.1)
@@ -128,7 +128,7 @@ def _decorate(own: Furnisher) -> None:
 
 
 def _rows(own: Furnisher, trade: str) -> None:
-    """Rows of goods with aisles of 1.5 to 2.1 m, along the longer or the shorter side; a cross aisle in long rows."""
+    """Places rows of goods along one side, with aisles of 1.5 to 2.1 m. Rows of more than 8 m have a cross aisle."""
     plan, rng, area = own.plan, own.rng, own.area
     is_along_x = bool(rng.random() < (0.7 if area.width > area.depth else 0.3))
     length, depth = (area.width, area.depth) if is_along_x else (area.depth, area.width)
@@ -150,7 +150,7 @@ def _rows(own: Furnisher, trade: str) -> None:
 
 
 def _annex(own: Furnisher, trade: str) -> None:
-    """A second sales room: clothes, seats or a coffee corner."""
+    """Furnishes a second sales room: with clothes rails in a clothes shop, otherwise with a coffee corner."""
     if trade == "clothes":
         for _ in range(4):
             own.wall_piece("SM_ClothesRail", clearance=0.5, gap=0.15)
@@ -177,7 +177,7 @@ def _annex(own: Furnisher, trade: str) -> None:
 
 
 def _store(own: Furnisher, _trade: str) -> None:
-    """Steel shelves, cartons, crates, a ladder and a trolley."""
+    """Places steel shelves, cartons, crates, a ladder and a trolley."""
     for number in range(3):
         own.wall_piece("SM_ShelfSteel_A", number, clearance=0.1)
     own.small(
@@ -187,7 +187,7 @@ def _store(own: Furnisher, _trade: str) -> None:
 
 
 def _office(own: Furnisher, _trade: str) -> None:
-    """A desk with a monitor, a chair, a book case, a copier and a cabinet."""
+    """Places a desk with a monitor, a chair, a book case, a copier and a cabinet."""
     desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.5, gap=0.05)
     if desk is not None:
         own.on_top("SM_Monitor_A", None, desk, 0.745)
@@ -201,7 +201,7 @@ def _office(own: Furnisher, _trade: str) -> None:
 
 
 def _wash(own: Furnisher, _trade: str) -> None:
-    """A toilet, a basin, a basket."""
+    """Places a toilet, a basin and a basket."""
     own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
     own.wall_piece("SM_WashBasin", clearance=0.3, gap=0.0)
     own.small(("SM_TrashCan_A", "SM_Basket"), 0.2)

@@ -42,7 +42,7 @@ def lay_out_full_warehouse(plan: FloorPlan) -> None:
     """Builds a hall for pallets: rows of racks with wide aisles, goods on the floor, shelves along the walls.
 
     Raises:
-        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+        WorldError: no division of the floor into the chosen rooms was found; another seed may have one.
     """
     _lay_out(plan, _FULL, _Size((360, 620), (5.6, 6.6)))
 
@@ -51,7 +51,7 @@ def lay_out_multiple_shelves(plan: FloorPlan) -> None:
     """Builds a smaller hall in which rows of racks and of shelves alternate.
 
     Raises:
-        WorldError: no division of the floor into the drawn rooms was found; another seed has one.
+        WorldError: no division of the floor into the chosen rooms was found; another seed may have one.
     """
     _lay_out(plan, _MULTIPLE, _Size((230, 380), (5.3, 6.0)))
 
@@ -84,7 +84,7 @@ def _looks(palette: Palette) -> dict[str, RoomLook]:
 
 
 def _divide(plan: FloorPlan, hall_m2: float) -> Division:
-    """Draws the rooms, the outline of the hall and its parts."""
+    """Chooses the rooms, the outline of the hall and its parts at random."""
     rng = plan.rng
     ratio = float(rng.uniform(1.05, 1.9))
     outline = Rectangle(0.0, 0.0, (hall_m2 * ratio) ** 0.5, (hall_m2 / ratio) ** 0.5)

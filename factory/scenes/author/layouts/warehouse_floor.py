@@ -46,7 +46,7 @@ _LEAST_RACK_M = 7.0
 
 
 class HallKind(NamedTuple):
-    """Ranges from which the rows of a kind of warehouse are drawn."""
+    """Ranges from which the properties of the rows of a kind of warehouse are drawn at random."""
 
     kinds: tuple[str, ...]
     aisle_m: tuple[float, float]
@@ -87,7 +87,7 @@ def _floor_of(area: Rectangle) -> float:
 
 
 def _gates(own: Furnisher) -> str | None:
-    """Hangs loading gates into one outer wall, and keeps the floor before them clear; returns the side."""
+    """Adds loading gates to one outer wall, and keeps the floor before them clear; returns the side."""
     sides = [side for side in own.sides() if any(high - low > 4.5 for low, high in own.room.outside.get(side, ()))]
     gate = own.model("SM_RollerGate", 0)
     for side in sides:
@@ -108,7 +108,7 @@ def _gates(own: Furnisher) -> str | None:
 
 
 def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
-    """Rows of racks in a part of the hall, a staging floor before its gates, shelves and goods along its walls."""
+    """Places racks in a part of the hall, goods on a staging floor before its gates, and shelves along its walls."""
     area, rng = own.area, own.rng
     if min(area.width, area.depth) < _LEAST_RACK_M:
         _stage(own, area.grown(-0.6), 0.12)
@@ -126,7 +126,13 @@ def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
 
 
 def _split(area: Rectangle, side: str | None, share: float) -> tuple[Rectangle, Rectangle | None]:
-    """Returns the floor for racks, and the floor before the gates, which takes a share of the depth, or `None`."""
+    """Returns the floor for racks and the floor before the gates; the latter is `None` without gates or if it is small.
+
+    Args:
+        area: floor to split.
+        side: side of the gates, if there are any.
+        share: share of the depth for the floor before the gates.
+    """
     if side is None or share < 0.08:
         return area, None
     x, y = area.width * share, area.depth * share
@@ -157,7 +163,7 @@ def _rack_plan(own: Furnisher, kind: HallKind, is_along_x: bool, area: Rectangle
 
 
 def _stage(own: Furnisher, area: Rectangle, density: float) -> None:
-    """Pallets, piles, crates and barrels on the floor with ways around them, in a painted frame."""
+    """Places pallets, piles, crates and barrels in a painted frame on the floor, with ways around them."""
     if area.width < 1.5 or area.depth < 1.5:
         return
     plan, rng = own.plan, own.rng
@@ -183,7 +189,7 @@ def _place(own: Furnisher, area: Rectangle, name: str, clearance: float) -> None
 
 
 def _along_walls(own: Furnisher, kind: HallKind) -> None:
-    """Shelves, benches for packing, goods alone and in clusters, tools, notices."""
+    """Places shelves, packing benches, goods alone and in clusters, tools and notices along the walls."""
     plan, rng = own.plan, own.rng
     share = _floor_of(own.area) / 500
     for number in range(1 + round(rng.uniform(3, 8) * share)):
@@ -202,7 +208,7 @@ def _along_walls(own: Furnisher, kind: HallKind) -> None:
 
 
 def _cluster(own: Furnisher) -> None:
-    """Two to four equal goods close together near a wall."""
+    """Places two to four equal goods close together near a wall."""
     plan, rng, side = own.plan, own.rng, own.sides()[own.plan.pick(4)]
     name, variant = _GOODS[plan.pick(4)], plan.pick(12)
     along = float(rng.uniform(1.5, max(own.length(side) - 1.5, 1.6)))
@@ -212,7 +218,7 @@ def _cluster(own: Furnisher) -> None:
 
 
 def _office(own: Furnisher) -> None:
-    """Desks with screens, a cabinet, a board."""
+    """Places desks with screens, a cabinet and a board."""
     for _ in range(1 + own.plan.pick(2)):
         desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
         workplace(own, desk, own.palette.cover)
@@ -224,7 +230,7 @@ def _office(own: Furnisher) -> None:
 
 
 def _break_room(own: Furnisher) -> None:
-    """A table with chairs, lockers, a machine, a bin."""
+    """Places a table with chairs, lockers, a machine and a bin."""
     round_table(own, own.area.centre, "SM_ChairWaiting_E", own.palette.cover)
     own.wall_piece("SM_Locker", own.palette.cover, clearance=0.2)
     own.wall_piece("SM_VendingMachine", clearance=0.2)
@@ -235,7 +241,7 @@ def _break_room(own: Furnisher) -> None:
 
 
 def _wash(own: Furnisher) -> None:
-    """Toilets, basins, a bin."""
+    """Places toilets, basins and a bin."""
     own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
     for _ in range(2):
         own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
@@ -243,7 +249,7 @@ def _wash(own: Furnisher) -> None:
 
 
 def _tools(own: Furnisher) -> None:
-    """Shelves, a bench, a ladder, cartons."""
+    """Places shelves, a bench, a ladder and cartons."""
     for _ in range(2):
         own.wall_piece("SM_ShelfSteel_A", clearance=0.12)
     own.wall_piece("SM_Workbench", clearance=0.3)

@@ -48,7 +48,7 @@ def book_pile(variant: int, rng: Generator) -> list[PropPiece]:
 
 
 def book_row(variant: int, _rng: Generator) -> list[PropPiece]:
-    """Standing books between two ends."""
+    """Upright books between two book ends."""
     half = (0.14, 0.20, 0.26)[variant % 3]
     books = open_block((-half, -0.08, 0.0), (half, 0.08, 0.22), "SENWT", fitted=True)
     ends = [block((x - 0.01, -0.06, 0.0), (x + 0.01, 0.06, 0.16)) for x in (-half - 0.011, half + 0.011)]

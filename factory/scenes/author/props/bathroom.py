@@ -59,7 +59,7 @@ def toilet(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def bathtub(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A built-in tub with a panel, or a free-standing oval tub; with a tap."""
+    """A built-in tub with a panel, or a free-standing oval tub, with a tap."""
     if variant % 3 == 1:
         rings = [
             _oval(0.0, 0.30, -0.62, 0.62),

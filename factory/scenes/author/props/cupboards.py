@@ -99,7 +99,7 @@ def carcass(model: CupboardModel) -> list[PropPiece]:
 
 
 def _grip(model: CupboardModel, x0: float, z0: float, across: float, up: float, column: int) -> AuthoredMesh:
-    """A bar: level on a drawer, upright at the opening edge of a door."""
+    """A bar handle: horizontal on a drawer, vertical at the opening edge of a door."""
     face = -model.size[1] / 2
     if up < 1.1 * across:
         x, z = x0 + across / 2, z0 + 0.72 * up

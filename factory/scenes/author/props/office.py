@@ -56,7 +56,7 @@ def _end_frames(half_x: float, half_y: float, height: float, metal: SurfaceMater
 
 
 def desk(variant: int, rng: Generator) -> list[PropPiece]:
-    """A work desk 1.3-1.5 m wide on an open frame, some with drawers under the top; all white, or of wood."""
+    """A white or wooden work desk 1.3-1.5 m wide on an open frame; some variants have drawers under the top."""
     half_x, half_y = (0.70, 0.35) if variant % 2 == 0 else (0.65, 0.34)
     board = WOODS[variant % 4]
     metal = WHITE if board is WHITE else (BLACK, WHITE, STEEL)[variant % 3]

@@ -190,7 +190,7 @@ def _shelf_goods(half_x: float, half_y: float, z: float, room: float, kind: int,
 
 
 def barrel(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A plastic tight-head barrel, a ringed steel drum, or a small keg; one dominant colour."""
+    """A plastic tight-head barrel, a ringed steel drum or a small keg, in one dominant colour."""
     kind = variant % 3
     profile: tuple[tuple[float, float], ...]
     if kind == 0:

@@ -1,4 +1,4 @@
-"""Recipes of further window views: woods, snow, towers, park, desert, harbour and village.
+"""Recipes of more window views: woods, snow, towers, park, desert, harbour and village.
 
 Each recipe draws a square sRGB image of 512 px from a random generator. Does not read or write files.
 """

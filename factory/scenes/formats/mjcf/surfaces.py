@@ -19,7 +19,7 @@ _COLOUR_ROLES = (mujoco.mjtTextureRole.mjTEXROLE_RGB, mujoco.mjtTextureRole.mjTE
 
 
 def read_surface(model: Any, files: SceneFiles, geom: int) -> Surface:
-    """Returns the appearance of a geom; a texture that MuJoCo projects on a solid becomes its mean colour.
+    """Returns the appearance of a geom. The mean colour replaces a texture that MuJoCo projects on a solid.
 
     Args:
         model: compiled model.

@@ -113,7 +113,7 @@ def _read_include(
     if found is not None and found.is_dir():
         folder, found = found, model_file(found, reader.files)
         if found is None or not reader.files.is_usable(found, parent):
-            reader.files.add_fault("without an SDF file", folder, parent)
+            reader.files.add_fault("folders without an SDF file", folder, parent)
             return
     if found is None:
         return

@@ -1,4 +1,4 @@
-"""Hostile clients count a reset of their connection as an answer, at every moment."""
+"""The hostile clients of the benchmark treat a connection reset at any moment as an answer."""
 
 from __future__ import annotations
 

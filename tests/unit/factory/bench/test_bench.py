@@ -80,7 +80,7 @@ def test_the_table_of_a_rollout_benchmark_names_the_screening_of_its_starts(
 def test_a_scene_or_number_that_the_plan_does_not_have_is_refused_by_name() -> None:
     with pytest.raises(UsageError, match="no scene 'garage'"):
         narrow(load_plan("paper"), ("garage",), 1)
-    with pytest.raises(UsageError, match="fewer episodes of hospital 52"):
+    with pytest.raises(UsageError, match=r"fewer episodes \(52 of hospital\)"):
         narrow(load_plan("paper"), ("hospital", "office"), 53)
 
 

@@ -13,7 +13,7 @@ from factory.support.settings import scene_cache
 from schemas.errors import UsageError
 
 SERVERS = {"factory coordinator start", "factory gateway start", "factory serve", "factory worker"}
-"""Run until they are stopped, and print where others connect."""
+"""Commands that run until they are stopped, and print the address to connect to."""
 
 
 def verbs(command: click.Command = cli, path: str = "factory") -> Iterator[tuple[str, click.Command]]:

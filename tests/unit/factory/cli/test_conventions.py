@@ -1,4 +1,4 @@
-"""One convention for each concept of the command line, and the former spellings, walked over all commands."""
+"""Checks on all commands: each concept has one spelling on the command line, and former spellings still work."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SYNONYMS = {
     "--quiet": "--verbose",
     "--random-seed": "--seed",
 }
-"""Spelling that no visible option may have, and the convention."""
+"""Spellings that no visible option may have, and what to use instead."""
 DIFFERENT = {
     ("factory gate", "--scene"): "measures one scene",
     ("factory train bc", "--split"): "learns from one split",
@@ -50,7 +50,7 @@ DIFFERENT = {
     ("factory keys host", "--address"): "lists the addresses of one host",
     ("factory repair", "--plan"): "an addition to the dataset it works on",
 }
-"""Options that take another kind of value than others of their name, and why."""
+"""Options that take a different kind of value than the other options of the same name, and the reason."""
 FORMER = {
     ("factory eval run", "--data"),
     ("factory train bc", "--data"),
@@ -64,7 +64,7 @@ FORMER = {
     ("factory scene build", "--cache"),
     ("factory scene import", "--cache"),
 }
-"""Spellings that are still accepted."""
+"""Former spellings that are still accepted."""
 IMPORTED = "import sys; from factory.cli.main import cli, main\n{body}\nprint(*sorted(sys.modules), file=sys.stderr)"
 
 
@@ -163,7 +163,7 @@ def test_a_name_means_the_same_in_every_command() -> None:
 
 def test_a_choice_is_one_of_the_printed_values() -> None:
     choices = {(path, *option.type.choices) for path, option in options() if isinstance(option.type, click.Choice)}
-    # a member of an enum has a name and a value
+    # a choice must be a plain text: an enum member has a name in addition to its value
     assert not [found for found in choices if any(type(value) is not str for value in found)]
 
 
@@ -182,7 +182,7 @@ def test_former_spellings_are_accepted_and_not_shown() -> None:
 
 
 def parsed(*words: str) -> dict[str, object]:
-    """Returns the parameters that a command line sets, also by former spellings; runs no command."""
+    """Returns the parameters that a command line sets, including former spellings; runs no command."""
     context, rest = cli.make_context("factory", list(words)), list(words)
     while isinstance(context.command, click.Group):
         name, command, rest = context.command.resolve_command(context, [*context._protected_args, *context.args])
@@ -310,7 +310,7 @@ def test_the_function_of_every_command_takes_the_options_of_the_command() -> Non
         for node in found:
             if node.module is not None and node.module.startswith("factory.commands."):
                 function = getattr(importlib.import_module(node.module), node.names[0].name)
-                inspect.signature(function).bind(**names)  # raises TypeError
+                inspect.signature(function).bind(**names)  # raises TypeError if they differ
                 checked += 1
     assert checked > 50
 
@@ -327,7 +327,7 @@ def test_the_commands_that_generate_data_are_imported_without_pybullet() -> None
     names = ("run.run", "run.gate", "run.render", "farm.coordinator")
     loaded = loaded_by("import " + ", ".join(f"factory.commands.{name}" for name in names))
     assert "factory.commands.run.run" in loaded
-    assert "pybullet" not in loaded  # so that they name the versions of Python that have it
+    assert "pybullet" not in loaded  # without PyBullet, they report which Python versions have it
 
 
 def commands_below(command: click.Command) -> Iterator[click.Command]:

@@ -1,4 +1,4 @@
-"""The columns of the metadata table: read at the first access, compact, and of one version of the file."""
+"""The columns of the metadata table: read at the first access, compact, and all from one version of the file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_single_rows_of_a_large_table_equal_those_of_all_columns(own: Path) -> N
     pq.write_table(
         table.set_column(table.column_names.index("num_steps"), "num_steps", pa.array(range(12_000))), path, 999
     )
-    columns, positions = Columns(own), (0, 998, 999, 11_999, 7, 11_998)  # the last two after all columns were read
+    columns, positions = Columns(own), (0, 998, 999, 11_999, 7, 11_998)  # the last two are read after all columns
     assert [columns.row(n) for n in positions] == pq.read_table(path).select(NAMES).take(positions).to_pylist()
 
 

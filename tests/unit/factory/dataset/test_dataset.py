@@ -295,7 +295,7 @@ def test_collation_makes_what_torchs_own_makes(shared: Path) -> None:
 
 
 def test_threads_may_share_an_episode(shared: Path) -> None:
-    """A file has one position: concurrent readers that moved it reported false damage."""
+    """A file has one position: if threads move it concurrently, they read wrong bytes and report false damage."""
     episode = Dataset(shared)[0]
     wanted = [frame[0] for frame in parts_for().frames]
     with ThreadPoolExecutor(8) as pool:

@@ -54,7 +54,7 @@ def scenes_of(samples: ClipDataset, order: Iterable[int]) -> list[int]:
 
 
 def count_loads(scenes: Sequence[int], kept: int) -> int:
-    """Returns how often a renderer that keeps a number of scenes prepares one."""
+    """Returns how many times a renderer that keeps `kept` scenes prepares a scene."""
     cache: OrderedDict[int, None] = OrderedDict()
     loads = 0
     for scene in scenes:

@@ -21,7 +21,7 @@ def test_a_timestamp_out_of_range_becomes_null(
 ) -> None:
     kind = pa.timestamp(unit, tz=zone)
     values = pa.array([LARGEST, SMALLEST, 0, None], pa.int64()).cast(kind)
-    if unit == "s":  # Parquet stores milliseconds, which the extremes do not fit in
+    if unit == "s":  # Parquet stores milliseconds, which cannot express the extreme seconds
         values = pa.array([2**53, -(2**53), 0, None], pa.int64()).cast(kind)
     pq.write_table(pa.table({"at": values, "other": [1, 2, 3, 4]}), tmp_path / "table.parquet")
     table = read_table(tmp_path / "table.parquet", ["at"])

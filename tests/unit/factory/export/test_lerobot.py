@@ -35,7 +35,7 @@ from tests.unit.factory.export.varied import STEPS, episode_parts
 FROZEN = json.loads((Path(__file__).parents[3] / "readers/lerobot_schema.json").read_text())
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 ORDER = ("ep_000002", "ep_000004", "ep_000003", "ep_000001")
-"""Sorted by split."""
+"""The episodes sorted by split."""
 FAR_M = 30.0
 
 

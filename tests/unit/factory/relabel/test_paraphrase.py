@@ -140,7 +140,7 @@ def test_foreign_urls_and_a_damaged_cache_are_refused(tmp_path):
         ("en", "Go to\u202e {np}.", "characters that are not text"),
         ("en", "Go to {np}." + " now" * 60, "too long"),
         ("de", "Fahr bitte sofort zu {np:dat}.", ""),
-        ("de", "Fahr in Richtung {np:acc}.", "the grammar never has the word before the slot there"),
+        ("de", "Fahr in Richtung {np:acc}.", "no built-in pattern has this word before a slot with this case"),
         ("de", "Fahr nicht zu {np:dat}.", "a negation"),
         ("es", "Avanza ahora mismo hasta {np}.", ""),
         ("es", "No vayas a {np}.", "a negation"),

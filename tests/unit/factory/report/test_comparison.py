@@ -105,7 +105,7 @@ def test_a_verdict_is_the_position_of_the_interval_relative_to_the_target(
 
 
 def of_tier(tier: Tier, mean_m: float, half_m: float, n: int = 60) -> list[Any]:
-    """Returns drives of a tier whose lengths have this mean and spread, `half_m` to both sides."""
+    """Returns drives of a tier whose lengths alternate between `mean_m - half_m` and `mean_m + half_m`."""
     return [drive(k, 6.0, mean_m + half_m * (-1) ** k, spawn_tier=tier) for k in range(1, n + 1)]
 
 
@@ -167,7 +167,7 @@ def test_shares_follow_the_plan() -> None:
 
 
 def test_the_share_of_a_small_plan_is_that_of_its_cells() -> None:
-    row = found([episode_row(1)], "share of train_id")  # one of two in each scene
+    row = found([episode_row(1)], "share of train_id")  # the plan has 2 episodes, 1 in each scene
     assert row.reason.startswith("The plan has 60 % in all, 100 % of its 2 episodes, 1 of 2 generated so far")
 
 

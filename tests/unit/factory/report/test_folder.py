@@ -1,4 +1,4 @@
-"""The output folder of a report: empty folders or former reports only, without deleting other files."""
+"""The output folder of a report must be empty or have an earlier report; other files are never deleted."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def own(tmp_path: Path) -> Path:
 
 
 def page_of(root: Path) -> str:
-    """Returns the page with only the fastest figure."""
+    """Returns the page of a report with only one figure, which is the fastest to draw."""
     return render_report(gather(root), draw_functions=(action_space.draw,))[0][PAGE_FILE].decode()
 
 
@@ -166,7 +166,7 @@ def test_instructions_are_escaped(own: Path) -> None:
 
 def test_a_damaged_episode_is_omitted_and_reported(own: Path) -> None:
     path = own / "episodes" / "ep_000002.zip"
-    path.write_bytes(bytes(path.stat().st_size))  # a truncated one would already be excluded from the statistics
+    path.write_bytes(bytes(path.stat().st_size))  # the statistics would already exclude a truncated file
     material = gather(own)
     assert sorted(material.drives.tracks) == ["ep_000001", "ep_000003"]
     (remark,) = material.statistics.remarks

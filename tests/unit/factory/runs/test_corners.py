@@ -1,4 +1,4 @@
-"""The expected share of far starts around a corner is that of the surveyed points in the range of the plan."""
+"""Expected share of far starts behind a corner: the same share as among the surveyed points in the plan's range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plan that is proposed for an imported scene can be fulfilled by it and read back."""
+"""The plan that is proposed for an imported scene is feasible in this scene and can be read back."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from tests.builders.bundle import job_for
 from tests.builders.ledger import room_catalog, room_plan
 
 QUICK = python_module("tests.builders.small_simulation", "0.01")
-"""Succeeds or stalls immediately, depending on the number of the job."""
+"""A simulation that succeeds or stalls immediately, depending on the number of the job."""
 NOISY_DEATH = (sys.executable, "-c", "raise SystemExit('no renderer')")
 DIES_AT_WORK = (
     sys.executable,
@@ -85,7 +85,7 @@ def test_verdict_counts_by_tier_and_reason() -> None:
     report = evaluate_gate("office", "proportional", trials, 0.8)
     assert report.passed
     assert (report.success.count, report.success.of, report.success.share) == (8, 10, 0.8)
-    assert report.success.low == pytest.approx(0.4902, abs=1e-4)  # Wilson, 8 of 10
+    assert report.success.low == pytest.approx(0.4902, abs=1e-4)  # Wilson interval of 8 of 10
     assert report.by_tier[Tier.FAR].share == 0.0
     assert Tier.MID not in report.by_tier
     assert report.reasons == {FailReason.COLLISION: 1, FailReason.TIMEOUT: 1}

@@ -28,7 +28,7 @@ PLAN = Plan.model_validate(
 
 
 def put_package(cache: Path, layout: str, seed: int, category: str) -> Path:
-    """Writes the package of a seed of a layout, a room with one object, to the cache."""
+    """Writes the package of a layout for one seed to the cache: a room with one object."""
     box = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category=category)
     scene = build_scene((*room_walls((-4.0, -3.0), (4.0, 3.0)), box), name=layout)
     path = package_path("office", seed, cache, called=layout)
@@ -39,7 +39,7 @@ def put_package(cache: Path, layout: str, seed: int, category: str) -> Path:
 def test_a_seed_without_a_valid_layout_is_followed_by_the_next_one(tmp_path: Path) -> None:
     good = put_package(tmp_path, "office_00005", 5, "chair")
     put_package(tmp_path, "office_00006", 6, "plant")
-    third = put_package(tmp_path, "office_00006", 8, "chair")  # 7 is a seed of office_00005
+    third = put_package(tmp_path, "office_00006", 8, "chair")  # seed 7 belongs to office_00005
     built: list[BuiltLayout] = []
     catalog = open_catalog(
         PLAN, tmp_path / "data", tmp_path, builds=LayoutBuilds(tell=lambda one, _total: built.append(one))

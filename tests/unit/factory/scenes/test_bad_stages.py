@@ -106,7 +106,7 @@ def test_an_oversized_mesh_is_refused_before_triangulation(tmp_path: Path) -> No
         int[] faceVertexIndices = {[7] * 60}
         point3f[] points = [(0, 0, 0)]
     }}"""
-    assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # triangulation would report it as broken
+    assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # below the limit, triangulation reports it
     with pytest.raises(WorldError, match=r"more than 50 triangles, exceeded at prim /World/Fan.*/World/Fan \(58\)"):
         extract(tmp_path, fan + BOX, StageLimits(max_triangles=50))
 
@@ -210,7 +210,7 @@ def test_corrupt_binary_stages_are_refused_by_name(tmp_path: Path) -> None:
         "-c",
         SPOILING,
         str(tmp_path / "room.usdc"),
-    ]  # a crash of USD itself must not end the suite
+    ]  # in a separate process: a crash of USD must not end the test session
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.stdout.strip().endswith("survived"), done.stderr[-2000:]
 

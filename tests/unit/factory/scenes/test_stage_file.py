@@ -1,4 +1,4 @@
-"""Formats are detected by content; a file of another format is refused with the supported ones and a converter."""
+"""Formats are detected by content; the refusal of another format names the supported formats and a converter."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_stage_with_a_wrong_suffix_is_refused_with_the_right_suffix(tmp_path: 
     for source, suffixes in opens.items():
         for suffix in (".usd", ".usda", ".USDA", ".usdc", ".usdz", ".txt", ""):
             if source is packed and suffix in {".txt", ""}:
-                continue  # any zip archive: no sign of a stage
+                continue  # without its suffix, it could be any zip archive
             path = tmp_path / f"copy{suffix}"
             path.write_bytes(source.read_bytes())
             fault = find_fault(path)

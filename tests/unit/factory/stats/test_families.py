@@ -1,4 +1,4 @@
-"""Readers count the layouts of a family as one scene, and show the unseen-scene splits where they have episodes."""
+"""Statistics count the layouts of a family as one scene, and show the unseen-scene splits if they have episodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SPLITS = (Split.TRAIN_ID, Split.TEST_UNSEEN_SCENE)
 
 
 def in_its_layout(parts: BundleParts) -> BundleParts:
-    """Returns the episode in the layout of its split."""
+    """Returns the episode, moved to the layout that belongs to its split."""
     layout = f"office_{SPLITS.index(parts.meta.job.split):05d}"
     job = parts.meta.job.model_copy(update={"scene": layout})
     return dataclasses.replace(parts, meta=parts.meta.model_copy(update={"job": job}))

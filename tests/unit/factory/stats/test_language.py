@@ -33,7 +33,7 @@ from tests.builders.dataset import make_dataset, office_package
 from tests.builders.statistics import episode_row
 
 WALL, CHAIR, PLANT = 2, 8, 9
-"""Ids of a wall without a category, and of another chair and a plant beside the target."""
+"""Instance ids: a wall without a category, and a second chair and a plant in addition to the target."""
 Area = tuple[slice, slice, float]
 LEFT, CENTRE, RIGHT = slice(100, 140), slice(300, 340), slice(500, 540)
 ROWS = slice(300, 340)
@@ -51,7 +51,7 @@ def image(areas: dict[int, Area]) -> tuple[NDArray[np.float32], NDArray[np.uint1
 def view(
     seen: tuple[SeenObject, ...], fitting: set[int] | None = None, arrives: bool = True, **changes: Any
 ) -> EpisodeView:
-    """Returns a view of an episode whose target has id 7; 7 and 8 have its category."""
+    """Returns a view of an episode whose target has id 7; objects 7 and 8 have the category of the target."""
     ahead = {"spawn_x_m": 0.0, "spawn_y_m": 0.0, "spawn_yaw_rad": 0.0, "goal_x_m": 2.0, "goal_y_m": 0.0}
     row = episode_row(1, **ahead | changes)
     return EpisodeView(row, TARGET_ID, frozenset({7, 8}), frozenset(fitting or {7}), seen, arrives)
@@ -86,9 +86,9 @@ def test_baselines_choose_by_distance_by_bearing_and_by_bearing_within_the_categ
     near, middle = SeenObject(PLANT, 1.0, 0.5, 50), SeenObject(CHAIR, 2.0, -0.1, 50)
     row = all_of(
         [
-            view((SeenObject(7, 0.5, 0.0, 50), near, middle)),  # the nearest and the most central
-            view((SeenObject(7, 3.0, 0.2, 50), near, middle)),  # none
-            view((SeenObject(7, 3.0, 0.2, 50), SeenObject(PLANT, 1.0, 0.0, 50))),  # the only one of its category
+            view((SeenObject(7, 0.5, 0.0, 50), near, middle)),  # the target is the nearest and the most central object
+            view((SeenObject(7, 3.0, 0.2, 50), near, middle)),  # the target is neither
+            view((SeenObject(7, 3.0, 0.2, 50), SeenObject(PLANT, 1.0, 0.0, 50))),  # the only object of its category
             view(()),  # nothing in view
         ]
     )
@@ -168,7 +168,7 @@ STARTS: list[dict[int, Area]] = [
 
 
 def hand_made(parts: BundleParts) -> BundleParts:
-    """Gives each episode its first frame; the third says `in front of you`, the fourth ends without its target."""
+    """Replaces first frames; the third instruction says `in front of you`, the fourth drive ends without its target."""
     number = parts.meta.job.index - 1
     rgb = parts.frames[0][0]
     parts = parts.with_frame(0, (rgb, *image(STARTS[number])))

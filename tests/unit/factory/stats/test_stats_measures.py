@@ -15,7 +15,7 @@ def test_mean_median_and_deviation_fit_hand_computed_values() -> None:
     values = [2.0, 4.0, 4.0, 10.0]
     assert mean_of(values) == 5.0
     assert median_of(values) == 4.0
-    assert deviation_of(values) == pytest.approx((36 / 3) ** 0.5)  # 9 + 1 + 1 + 25 over n - 1
+    assert deviation_of(values) == pytest.approx((36 / 3) ** 0.5)  # (9 + 1 + 1 + 25) / (n - 1)
 
 
 def test_empty_data_have_no_mean_and_one_value_has_no_deviation() -> None:
@@ -52,7 +52,7 @@ def test_the_share_of_no_trials_is_undefined() -> None:
 
 def test_correlation_fits_hand_computed_values() -> None:
     fit = fit_line("all", [1.0, 2.0, 3.0, 4.0], [1.0, 3.0, 2.0, 4.0])
-    assert fit.r == pytest.approx(0.8)  # covariance 4 over squares 5 and 5
+    assert fit.r == pytest.approx(0.8)  # sum of products 4, sums of squares 5 and 5
     assert fit.slope == pytest.approx(0.8)
     assert fit.intercept_m == pytest.approx(0.5)  # 2.5 - 0.8 * 2.5
 

@@ -21,7 +21,7 @@ ROOT = Path(factory.__file__).parents[1]
 
 @pytest.fixture
 def lines() -> Iterator[io.StringIO]:
-    """All log lines, with the configuration of an entry point."""
+    """Collects all log lines, with logging configured as in an entry point."""
     stream = io.StringIO()
     with contextlib.redirect_stderr(stream):
         configure_logs(verbose=True)

@@ -10,7 +10,7 @@ from factory.train.preprocess import FAR_M, Batch, augment, shrink_depth, shrink
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 
 SWAPPED = np.array((0, 1, 2, 4, 3), np.int64)
-"""Words of a mirrored image: words 3 and 4 are opposite sides."""
+"""Word ids for a mirrored image: the ids 3 and 4, which name opposite sides, are swapped."""
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -18,7 +18,7 @@ MB = 10**6
 
 @pytest.fixture(scope="module")
 def row(tmp_path_factory: pytest.TempPathFactory) -> EpisodeSummary:
-    """Row of an episode of frames."""
+    """Metadata row of an episode that has frames."""
     root = tmp_path_factory.mktemp("one") / "data"
     make_dataset(root, 1)
     return EpisodeSummary.model_validate(next(Dataset(root).rows()))

@@ -35,7 +35,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def data(pristine: Path, tmp_path: Path) -> Path:
-    """A copy that the test may change."""
+    """A copy of the dataset that the test may change."""
     return Path(shutil.copytree(pristine, tmp_path / "data"))
 
 
@@ -212,7 +212,7 @@ def test_row_that_breaks_its_model_is_found(data: Path) -> None:
 
 
 def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Path) -> None:
-    """Consistent changes of episode and tables still violate the kinematic limits."""
+    """The episode and the tables are changed consistently, but the motion violates the kinematic limits."""
     before = Dataset(data)
     with open_archive(data) as archive:
         first = before[0]

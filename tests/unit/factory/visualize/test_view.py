@@ -32,7 +32,7 @@ def test_the_floor_image_covers_the_grid_and_its_first_row_has_the_smallest_y(sc
     span = floor.corners_m.max(axis=0) - floor.corners_m.min(axis=0)
     np.testing.assert_allclose(span[:2], (columns * size, rows * size), rtol=1e-5)
     np.testing.assert_allclose(floor.corners_m[0, :2], scene.info.grid_origin_m, rtol=1e-6)
-    assert tuple(floor.uvs[0]) == (0, 0)  # so that texture row 0, v = 0, is at the lower edge
+    assert tuple(floor.uvs[0]) == (0, 0)  # row 0 of the texture (v = 0) is at the smallest y
     assert floor.texture.shape == (rows, columns, 3)
     assert (floor.texture[0, 0] == floor.texture[scene.occupancy == scene.occupancy[0, 0]]).all()
 

@@ -1,4 +1,4 @@
-"""The table of a web page follows its files, and no request waits for a long reading."""
+"""The table of a web page is updated when its files change, and no request waits while they are read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shared results: how often they are computed, and by whom."""
+"""Shared results: when they are computed again, and which requests wait for a computation."""
 
 from __future__ import annotations
 

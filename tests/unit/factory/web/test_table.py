@@ -1,4 +1,4 @@
-"""The table of episodes selects and sorts as a loop over the rows does."""
+"""The table of episodes selects and sorts like a loop over the rows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.builders.dataset import make_dataset
 
 
 def vary(parts: BundleParts) -> BundleParts:
-    """Gives each episode another instruction and another error, in another order than the episodes."""
+    """Gives each episode a different instruction and final error, which sort in a different order than the episodes."""
     index = parts.meta.job.index
     job = parts.meta.job.model_copy(update={"instruction": f"Go to CHAIR {7 * index % 5}."})
     rollout = parts.meta.rollout.model_copy(update={"final_ne_m": round(3 * index % 5 / 10, 2)})
@@ -63,9 +63,9 @@ def test_flagged_episodes_are_selected_in_the_order_of_the_table(dataset):
     [
         ({"scenee": "office"}, "did you mean 'scene'?"),
         ({"sort": "worker"}, "is not a column"),
-        ({"page": "-1"}, "not a number from 0"),
-        ({"page": "٣"}, "not a number from 0"),
-        ({"page": "1" * 30}, "not a number from 0"),
+        ({"page": "-1"}, "not a page number"),
+        ({"page": "٣"}, "not a page number"),
+        ({"page": "1" * 30}, "not a page number"),
         ({"q": "a" * 201}, "at most 200"),
     ],
 )

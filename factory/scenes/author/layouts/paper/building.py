@@ -147,7 +147,7 @@ def _build_wing(
 
 
 def _facing(is_south: bool, first: Trim | None, second: Trim | None) -> tuple[Trim | None, Trim | None]:
-    """Returns the two trims of a wall along x in the order of its faces; swapped for the north wing."""
+    """Returns the two trims of a wall along x in the order of its faces, which is reversed in the north wing."""
     return (first, second) if is_south else (second, first)
 
 

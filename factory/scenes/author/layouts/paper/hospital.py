@@ -74,7 +74,7 @@ def _guide_lines(plan: FloorPlan, corridor: tuple[float, float]) -> None:
 
 
 def _cells(plan: FloorPlan, hall: str) -> list[Cell]:
-    """Three wards and an examination room in random order around the hall."""
+    """Returns three wards and an examination room in random order around the hall."""
     rooms = [Cell("ward", 5.0, float(plan.rng.uniform(1.25, 1.5))) for _ in range(3)]
     rooms.append(Cell("exam", 4.6, float(plan.rng.uniform(1.2, 1.4))))
     order = [rooms[k] for k in plan.rng.permutation(len(rooms))]
@@ -83,7 +83,7 @@ def _cells(plan: FloorPlan, hall: str) -> list[Cell]:
 
 
 def _ward(plan: FloorPlan, room: Room) -> None:
-    """Beds with their heads at the outer wall, one bed at a side wall, a wash basin, a bin, a board."""
+    """Places beds with their heads at the outer wall, one bed at a side wall, a wash basin, a bin and a board."""
     area, rng, props = room.area, plan.rng, plan.props
     look = plan.pick(6)
     y_head, inward = _head_wall(room)
@@ -109,8 +109,8 @@ def _head_wall(room: Room) -> tuple[float, float]:
 
 
 def _bed_place(plan: FloorPlan, room: Room, bed: int, look: int) -> None:
-    """One bed at the outer wall: service panel, night stand, sometimes an infusion stand, a visitor's chair on the
-    inner side."""
+    """Places a bed at the outer wall with a service panel, a night stand, a visitor's chair on the inner side and
+    sometimes an infusion stand."""
     area, rng, props = room.area, plan.rng, plan.props
     y_head, inward = _head_wall(room)
     yaw, outside = FACING[room.outer], -1.0 if bed == 0 else 1.0
@@ -128,7 +128,7 @@ def _bed_place(plan: FloorPlan, room: Room, bed: int, look: int) -> None:
 
 
 def _side_bed(plan: FloorPlan, room: Room, side: str, look: int) -> None:
-    """A third bed across the room's side wall, with its panel and night stand."""
+    """Places a third bed with its head at a side wall, with its panel and night stand."""
     area, props = room.area, plan.props
     share = float(plan.rng.uniform(0.50, 0.54))
     bed = plan.against(props.model("SM_Bed", look + 2), area, side, share if room.outer == "N" else 1 - share, 0.2, 0.1)
@@ -142,7 +142,7 @@ def _side_bed(plan: FloorPlan, room: Room, side: str, look: int) -> None:
 
 
 def _exam(plan: FloorPlan, room: Room) -> None:
-    """One bed, a trolley, a cabinet, stools and a board."""
+    """Places one bed, a trolley, a cabinet, stools and a board."""
     area, rng, props = room.area, plan.rng, plan.props
     side = "EW"[plan.pick(2)]
     along = 0.72 if room.outer == "N" else 0.28
@@ -164,7 +164,7 @@ def _exam(plan: FloorPlan, room: Room) -> None:
 
 
 def _waiting(plan: FloorPlan, room: Room) -> None:
-    """Rows of chairs along three walls around an open floor, a board, a television, bins."""
+    """Places rows of chairs along three walls around an open floor, a board, a television and bins."""
     area, rng, props = room.area, plan.rng, plan.props
     marking(plan, area.grown(-1.6), WARM)
     look, kind = plan.pick(5), ("SM_ChairWaiting_E", "SM_ChairVisitor_C")[plan.pick(2)]
@@ -182,7 +182,7 @@ def _waiting(plan: FloorPlan, room: Room) -> None:
 
 
 def _reception(plan: FloorPlan, room: Room) -> None:
-    """A reception counter before the outer wall, cabinets behind it, waiting chairs on the sides."""
+    """Places a reception counter in front of the outer wall, cabinets behind it and waiting chairs on the sides."""
     area, rng, props = room.area, plan.rng, plan.props
     y_wall, inward = _head_wall(room)
     plan.place(
@@ -207,7 +207,7 @@ def _reception(plan: FloorPlan, room: Room) -> None:
 
 
 def _corridor(plan: FloorPlan, area: Rectangle) -> None:
-    """Bins, extinguishers, chairs, a trolley and a wheelchair along the corridor walls."""
+    """Places bins, extinguishers, chairs, a trolley and a wheelchair along the corridor walls."""
     props = plan.props
     names = ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_ChairWaiting_E"] * 3
     names += ["SM_WheelChair", "SM_Trolley", "SM_ChairVisitor_C", "SM_TrashCan_A"]
@@ -226,7 +226,7 @@ def _along(plan: FloorPlan, room: Room, names: tuple[str, ...]) -> None:
 
 
 def _decorate(plan: FloorPlan, room: Room) -> None:
-    """A notice on a side wall and a lit sign above the door, on both sides of it."""
+    """Mounts a notice on a side wall, and a lit sign above the door on both sides of the corridor wall."""
     props = plan.props
     plan.hang(
         props.model("SM_Poster", plan.pick(3) + 3 * (len(plan.placements) % 3)),

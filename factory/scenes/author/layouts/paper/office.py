@@ -68,7 +68,7 @@ def lay_out_office(plan: FloorPlan) -> None:
 
 
 def _workplace(plan: FloorPlan, x: float, y: float, yaw: float, look: int, room: Rectangle) -> None:
-    """A desk with monitor, keyboard and a chair under or beside the desk."""
+    """Places a desk with monitor, keyboard and a chair that is partly under the desk."""
     props, rng = plan.props, plan.rng
     desk = props.model("SM_TableDesk_A", look)
     if not plan.place(desk, x, y, yaw, room, 0.02):
@@ -100,14 +100,14 @@ def _workplace(plan: FloorPlan, x: float, y: float, yaw: float, look: int, room:
 
 
 def _wall_workplace(plan: FloorPlan, area: Rectangle, side: str, along: float, look: int) -> None:
-    """A workplace with the back of the desk to a wall."""
+    """Places a workplace with the back of the desk to a wall."""
     desk = plan.props.model("SM_TableDesk_A", look)
     x, y, yaw = wall_pose(desk, area, side, along, 0.06)
     _workplace(plan, x, y, yaw, look, area)
 
 
 def _open_plan(plan: FloorPlan, room: Room) -> None:
-    """Desks in pairs and single desks along the walls around an open middle; boards, plants, bins, a copier."""
+    """Places pairs of desks, single desks along the walls, boards, plants, bins and a copier around an open middle."""
     area, rng, props = room.area, plan.rng, plan.props
     look = plan.pick(12)
     marking(plan, Rectangle(*area.centre, *area.centre).grown(1.4), CARPET_HALL)
@@ -128,7 +128,7 @@ def _open_plan(plan: FloorPlan, room: Room) -> None:
 
 
 def _meeting(plan: FloorPlan, room: Room) -> None:
-    """A conference table near the windows with chairs under its edge; board and bin in the free half."""
+    """Places a conference table near the windows with chairs under its edge, and a board and a bin in the free half."""
     area, rng, props = room.area, plan.rng, plan.props
     inward = -1.0 if room.outer == "N" else 1.0
     x = area.centre[0] + float(rng.uniform(-0.2, 0.2))
@@ -153,7 +153,7 @@ def _meeting(plan: FloorPlan, room: Room) -> None:
 
 
 def _private(plan: FloorPlan, room: Room) -> None:
-    """One desk at a side wall, a sofa opposite, a visitor chair by the window, a plant, a case of books."""
+    """Places a desk at a side wall, a sofa opposite, a visitor chair by the window, a plant and a book case."""
     area, rng, props = room.area, plan.rng, plan.props
     sofa_side, desk_side = ("E", "W") if rng.random() < 0.5 else ("W", "E")
     along = float(rng.uniform(0.55, 0.65))
@@ -169,7 +169,7 @@ def _private(plan: FloorPlan, room: Room) -> None:
 
 
 def _lounge(plan: FloorPlan, room: Room) -> None:
-    """Sofas along the walls, a low table off their axes, plants and a lamp."""
+    """Places sofas along the walls, a low table that is not in line with them, plants and a lamp."""
     area, rng, props = room.area, plan.rng, plan.props
     x, y = area.centre
     look = plan.pick(6)
@@ -195,7 +195,7 @@ def _lounge(plan: FloorPlan, room: Room) -> None:
 
 
 def _kitchen(plan: FloorPlan, room: Room) -> None:
-    """A row of kitchen units on one wall, two round tables with a few chairs, bins and a fridge."""
+    """Places a row of kitchen units on one wall, two round tables with a few chairs, bins and a fridge."""
     area, rng, props = room.area, plan.rng, plan.props
     run = "EW"[plan.pick(2)]
     plan.against(props.model("SM_KitchenCounter", plan.pick(3)), area, run, 0.5, 0.0, 0.0)
@@ -223,7 +223,7 @@ def _kitchen(plan: FloorPlan, room: Room) -> None:
 
 
 def _corridor(plan: FloorPlan, area: Rectangle) -> None:
-    """Extinguishers, bins, plants and pictures along a corridor whose middle stays free."""
+    """Places extinguishers, bins, plants and pictures along a corridor whose middle stays free."""
     props = plan.props
     for number, name in enumerate(
         (
@@ -247,7 +247,7 @@ def _along(plan: FloorPlan, room: Room, names: tuple[str, ...]) -> None:
 
 
 def _decorate(plan: FloorPlan, room: Room, posters: int) -> None:
-    """Pictures on the side walls and an exit sign above the door."""
+    """Mounts pictures on the side walls and an exit sign above the door."""
     props = plan.props
     for _ in range(posters):
         plan.hang(

@@ -32,7 +32,7 @@ class RackRow(NamedTuple):
 
 
 def lay_out_full_warehouse(plan: FloorPlan) -> None:
-    """A 32 x 24 m hall: rack rows, aisles 2.9-3.2 m, one cross aisle, goods along the walls."""
+    """Builds a 32 x 24 m hall with rows of racks, aisles of 2.9-3.2 m, one cross aisle and goods along the walls."""
     hall = Rectangle(0.0, 0.0, 32.0, 24.0)
     _shell(plan, hall, gates=3)
     inside = hall.grown(-0.08)
@@ -44,7 +44,7 @@ def lay_out_full_warehouse(plan: FloorPlan) -> None:
 
 
 def lay_out_multiple_shelves(plan: FloorPlan) -> None:
-    """A 22 x 18 m hall in which rack rows and shelf rows alternate."""
+    """Builds a 22 x 18 m hall in which rack rows and shelf rows alternate."""
     hall = Rectangle(0.0, 0.0, 22.0, 18.0)
     _shell(plan, hall, gates=2)
     inside = hall.grown(-0.08)
@@ -74,7 +74,7 @@ def _rack_rows(plan: FloorPlan, hall: Rectangle, aisle: float) -> Iterator[RackR
 
 
 def _shell(plan: FloorPlan, hall: Rectangle, gates: int) -> None:
-    """Floor, walls, roof, lamps, windows, loading gates and a painted frame on the floor."""
+    """Builds floor, walls, roof, lamps, windows, loading gates and a painted frame on the floor."""
     floor(plan, hall, CONCRETE)
     ceiling_slab(plan, hall, HEIGHT_M, ROOF)
     high_bay_lamps(plan, hall, HEIGHT_M, 5.0)
@@ -123,7 +123,7 @@ def _fill_rows(plan: FloorPlan, hall: Rectangle, rows: list[RackRow], margin: fl
 
 
 def _mark_row(plan: FloorPlan, row: RackRow, x0: float, x1: float) -> None:
-    """A yellow line before the row, hazard patches and impact posts at its ends."""
+    """Adds a yellow line in front of the row, and hazard patches and impact posts at its ends."""
     toward = -1.0 if row.yaw == FACING["N"] else 1.0
     edge = row.y + toward * 0.58
     marking(plan, Rectangle(x0 - 0.25, edge - 0.04, x1 + 0.25, edge + 0.04), YELLOW)
@@ -136,14 +136,14 @@ def _mark_row(plan: FloorPlan, row: RackRow, x0: float, x1: float) -> None:
 
 
 def _wall_shelves(plan: FloorPlan, inside: Rectangle, count: int) -> None:
-    """Shelf units with their backs to the east and west walls."""
+    """Places shelf units with their backs to the east and west walls."""
     for number in range(count):
         model = plan.props.model("SM_ShelfSteel_A", plan.pick(8))
         plan.against_somewhere(model, inside, "EW", 0.05 if number % 2 else 0.5, 30)
 
 
 def _floor_goods(plan: FloorPlan, inside: Rectangle, singles: int, clusters: int) -> None:
-    """Barrels and crates along the walls, single and in small groups, and clutter between them."""
+    """Places barrels and crates along the walls, single and in small groups, and clutter between them."""
     rng, props = plan.rng, plan.props
     names = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")
     for number in range(singles):

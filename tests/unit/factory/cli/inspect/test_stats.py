@@ -261,7 +261,8 @@ def test_a_shared_instance_despite_the_separation_option_is_damage(own: Path) ->
     describe(own, shared_instances={"office": []})
     found = measure_dataset(own)
     assert not found.is_sound
-    assert "1 instances are in training and evaluation, against the plan: office chair_001" in found.remarks[-1].text
+    text = found.remarks[-1].text
+    assert "1 instances are in training and evaluation, contrary to the plan: office chair_001" in text
 
 
 def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:

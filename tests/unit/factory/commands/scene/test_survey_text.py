@@ -13,7 +13,8 @@ from tests.builders.scene import box_room
 def test_every_figure_is_printed_with_its_meaning() -> None:
     report = replace(report_survey(box_room()), blind=3, unseen=("crate_001",), farthest_floor_m=1.25)
     lines = list(describe_survey(report))
-    assert "start points without a visible target: 3; used by the planner and by unscreened draws" in lines
+    users = "used only by the planner, and by starts without screening (spawn.screening)"
+    assert f"start points without a visible target: 3; {users}" in lines
     assert "targets visible from no start point: crate_001" in lines
     assert lines[-1].endswith("with a free straight path to 1 m from the centroid")
     by_surface = report_survey(box_room(), success=SuccessMeasure.SURFACE)

@@ -24,7 +24,7 @@ def track_through(*points: tuple[float, float], stand: int = 0) -> np.ndarray:
 
 def test_spl_is_the_shortest_over_the_driven_length_and_zero_without_success() -> None:
     assert measure.spl(True, 4.0, 5.0) == pytest.approx(0.8)
-    assert measure.spl(True, 4.0, 3.9) == 1.0  # shorter than the shortest: the path on the grid is not exact
+    assert measure.spl(True, 4.0, 3.9) == 1.0  # the shortest path is approximate, so a drive can be shorter
     assert measure.spl(False, 4.0, 4.0) == 0.0
     assert measure.spl(True, 0.0, 0.0) == 1.0
 
@@ -80,7 +80,7 @@ def test_floor_distance_goes_around_and_starts_beside_furniture_at_the_nearest_f
     open_floor = measure.floor_distance_m(grid, (0.0, 0.0), CRATE, TASK)
     straight = float(np.hypot(*np.array(CRATE.centroid_m[:2]))) - 1.0
     assert open_floor == pytest.approx(straight, abs=0.1)
-    beside = measure.floor_distance_m(grid, (-3.9, 0.0), CRATE, TASK)  # 10 cm from the wall, where no field is
+    beside = measure.floor_distance_m(grid, (-3.9, 0.0), CRATE, TASK)  # at 10 cm from the wall, the field is empty
     assert beside is not None
     assert beside > 3.9
     assert measure.floor_distance_m(grid, (-8.0, 0.0), CRATE, TASK) is None

@@ -40,7 +40,7 @@ def test_only_answers_after_the_first_one_have_the_strict_timeout(status: Shared
     watch = StatusWriter(status)
     assert busy_when_asked(status, watch, 4) == [Activity.MAKING, Activity.MAKING, Activity.ASKING, Activity.ASKING]
     assert busy_when_asked(status, watch, 3) == [Activity.MAKING, Activity.ASKING, Activity.ASKING]
-    watch.is_warm = False  # over a new connection
+    watch.is_warm = False  # the next calls use a new connection
     assert busy_when_asked(status, watch, 3) == [Activity.MAKING, Activity.MAKING, Activity.ASKING]
 
 

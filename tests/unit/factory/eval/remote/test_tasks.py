@@ -78,7 +78,7 @@ def test_a_worker_gets_the_task_of_the_campaign_with_the_recorded_actions(campai
     assert stop == tasks[1]
     assert replay.actions == tuple((float(v), float(w)) for v, w in drives["ep_000001"].actions)
     assert replay.model_copy(update={"actions": None}) == tasks[2]
-    assert str(drives.root) not in texts[1]  # no path of this machine
+    assert str(drives.root) not in texts[1]  # the task contains no path of this machine
     planned = planned_of(tasks[2])
     assert (planned.index, planned.episode) == (2, EpisodeSpec.of(tasks[2].request.spec))
 

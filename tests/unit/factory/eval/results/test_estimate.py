@@ -1,4 +1,4 @@
-"""Intervals: against the definition, on degenerate data, and repeatable."""
+"""Confidence intervals: compared with scipy, on degenerate data, and repeatable."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_an_interval_is_that_of_the_bca_bootstrap() -> None:
     assert found.high == pytest.approx(reference.high, abs=0.05)
     assert found.low is not None
     assert found.high is not None
-    assert found.high - found.mean > found.mean - found.low  # a skew to the right, for which BCa corrects
+    assert found.high - found.mean > found.mean - found.low  # the data are skewed to the right, and BCa corrects for it
 
 
 def test_an_interval_has_about_its_nominal_coverage() -> None:

@@ -77,7 +77,7 @@ def test_each_table_lists_each_policy_with_its_interval() -> None:
         assert table.count('<th scope="row">expert</th>') == table.count('<th scope="row">stop</th>') >= 1, title
     words = page.split("<h3>Instruction ablation</h3>")[1].split("</table>")[0]
     assert words.count(">expert</th>") == words.count(">stop</th>") == 1
-    assert "50.0 <small>19 to 81</small>" in page  # Wilson, 3 of 6
+    assert "50.0 <small>19 to 81</small>" in page  # Wilson interval of 3 of 6
     assert "left:18.76%;width:62.48%" in page
 
 

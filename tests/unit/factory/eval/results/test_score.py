@@ -26,7 +26,7 @@ def test_a_score_counts_each_termination_once_and_averages_the_measures() -> Non
     shares = (found.success, found.any_instance, found.collision, found.timeout, found.policy_failure, found.contact)
     assert [share.count for share in shares] == [1, 2, 1, 1, 1, 1]
     assert {share.of for share in shares} == {4}
-    assert found.success.low == pytest.approx(0.0456, abs=1e-4)  # Wilson, 1 of 4
+    assert found.success.low == pytest.approx(0.0456, abs=1e-4)  # Wilson interval of 1 of 4
     assert found.spl.mean == pytest.approx(0.2)
     assert found.ne_m.mean == pytest.approx(2.5)
 

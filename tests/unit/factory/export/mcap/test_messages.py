@@ -15,7 +15,7 @@ from workers.geometry.pose import Pose
 
 
 def arc(v: float, w: float, steps: int, hz: int, yaw: float = 0.0) -> np.ndarray:
-    """Poses of a robot; exact for straight drives and turns on the spot."""
+    """Returns poses of a robot with constant speeds; exact for straight drives and turns on the spot."""
     times = np.arange(steps) / hz
     heading = yaw + w * times
     poses = np.zeros((steps, 7))

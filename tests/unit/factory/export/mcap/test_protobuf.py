@@ -51,7 +51,7 @@ def test_messages_have_the_bytes_of_the_first_release(message, values, expected)
 def test_a_reader_finds_every_type_of_a_message_in_its_descriptors(message):
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(descriptor_set(message)).file:
-        pool.Add(file)  # raises where an import is missing or comes later
+        pool.Add(file)  # raises an error if an imported file is missing or comes later
     assert pool.FindMessageTypeByName(message).full_name == message
 
 

@@ -31,7 +31,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def meshes(scene):
-    """Name -> mesh, as trimesh reads the file."""
+    """Meshes by name, as trimesh reads the file."""
     return trimesh.load(io.BytesIO(encode_glb(scene)), file_type="glb", process=False).geometry
 
 

@@ -218,7 +218,7 @@ def test_every_model_is_on_or_above_the_floor() -> None:
 
 
 def test_no_two_visible_materials_share_a_plane() -> None:
-    """Otherwise z-fighting is visible; backs against a wall and undersides on the floor are not visible."""
+    """Such faces would flicker (z-fighting). Backs against a wall and undersides on the floor are not visible."""
     props, found = PropBuilder(0), []
     for name, entry in CATALOGUE.items():
         for variant in range(entry.variants):
@@ -232,7 +232,7 @@ def test_no_two_visible_materials_share_a_plane() -> None:
 
 
 class LevelFace(NamedTuple):
-    """A face across one of the axes: axis, direction and place; its rectangle on the other two, metres."""
+    """A face perpendicular to an axis: axis, direction and position; its rectangle along the other two axes, metres."""
 
     plane: tuple[int, int, float]
     material: str

@@ -98,7 +98,7 @@ def test_spawns_fit_and_are_spread(tmp_path: Path) -> None:
 def test_no_spawn_is_below_a_shelf_on_legs(tmp_path: Path) -> None:
     scene = room(tmp_path, TEXT.box("SM_ShelfSteel_A", (-3, -2, 1.5), (0, 2, 1.7)))
     assert "shelf" in {target.category for target in scene.info.targets}
-    assert Grid.from_scene(scene).clearance_at(np.array([[-1.5, 0.0]]))[0] > 1  # free floor
+    assert Grid.from_scene(scene).clearance_at(np.array([[-1.5, 0.0]]))[0] > 1  # the floor below the shelf is free
     beneath = (scene.spawns > (-3, -2)) & (scene.spawns < (0, 2))
     assert not beneath.all(axis=1).any()
 

@@ -10,7 +10,7 @@ from factory.scenes.importer import Part, Surface
 
 
 def part(path: str, area_m2: float, surface: Surface) -> Part:
-    """Returns one triangle of an area."""
+    """Returns a part that is one triangle with a given area."""
     triangle = np.array([[(0.0, 0.0, 0.0), (2 * area_m2, 0.0, 0.0), (0.0, 1.0, 0.0)]])
     return Part(path, triangle, None, None, surface)
 

@@ -1,4 +1,4 @@
-"""A stage is open where a ray upwards meets no visible face, of one-sided and of double-sided walls."""
+"""A stage is open where upward rays meet no visible face; tested with one-sided and double-sided faces."""
 
 from __future__ import annotations
 

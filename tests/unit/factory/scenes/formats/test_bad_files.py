@@ -82,7 +82,7 @@ def test_a_buffer_view_beyond_the_buffer_is_refused_by_name_of_its_node(tmp_path
 
 def test_a_file_above_the_limit_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = write(tmp_path / "big.glb", b"glTF\2\0\0\0")
-    os.truncate(path, 2_000_000_000)  # sparse
+    os.truncate(path, 2_000_000_000)  # a sparse file
     with pytest.raises(WorldError, match=r"big\.glb has 2000 MB; the limit of one file is 1000 MB.*--max-file-mb"):
         extract_scene(path)
 

@@ -40,7 +40,7 @@ def test_nodes_of_gltf_compose_translation_rotation_scale_and_matrix(tmp_path: P
     matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 10, 0, 0, 1]
     document.node("Parent", matrix=matrix, children=[turned])
     extraction = extract_scene(write(tmp_path / "a.glb", document.glb()))
-    # 4 x 2 m; a quarter turn about y takes x to -z, which is y of the world
+    # the square becomes 4 x 2 m; a quarter turn about y takes x to -z, which is y of the world
     assert box_of(part_of(extraction, "/World/Parent/Turned")) == [[8, 0, 0], [10, 4, 0]]
 
 
@@ -60,7 +60,7 @@ def test_texture_transforms_strips_and_colours_of_gltf(tmp_path: Path) -> None:
     document.node("Tinted", document.mesh(SQUARE, [0, 1, 2], attributes={"COLOR_0": tints}))
     extraction = extract_scene(write(tmp_path / "a.glb", document.glb()))
     strip_part = part_of(extraction, "/World/Strip")
-    assert len(strip_part.triangles) == 4  # two triangles, both sides
+    assert len(strip_part.triangles) == 4  # two triangles, each with both sides
     assert strip_part.uvs is not None
     assert strip_part.uvs[0].tolist() == [[0.5, 0.75], [2.5, 0.75], [0.5, -3.25]]
     assert strip_part.surface.texture == str(tmp_path / "tiles.png")
@@ -127,13 +127,13 @@ def test_a_world_places_included_models_in_nested_frames(tmp_path: Path) -> None
     assert box_of(part_of(extraction, "/World/first/body/shape")) == [[4.5, -0.5, 2.5], [5.5, 0.5, 3.5]]
     assert box_of(part_of(extraction, "/World/pair/crate/body/shape")) == [[-0.5, 5.5, 2.5], [0.5, 6.5, 3.5]]
     assert "/World/pair/second/body/shape" in {part.path for part in extraction.parts}
-    assert "/World/pair" in extraction.groups  # two models in it
+    assert "/World/pair" in extraction.groups  # it contains two models
     assert {"/World/first", "/World/pair/crate"} <= extraction.models
     assert part_of(extraction, "/World/first/body/shape").surface.colour == (1.0, 0.0, 0.0)
 
 
 def mesh_world(folder: Path) -> str:
-    """Writes a textured OBJ mesh, and returns a model that names it."""
+    """Writes a textured OBJ mesh, and returns an SDF model that references it."""
     picture(folder)
     write(folder / "meshes" / "tri.mtl", "newmtl print\nKd 1 1 1\nmap_Kd ../tiles.png\n")
     write(folder / "meshes" / "tri.obj", "mtllib tri.mtl\n" + TRIANGLE_OBJ)
@@ -183,8 +183,8 @@ def link(name: str, parent: str = "", joint: str = "fixed") -> str:
 
 def test_drawers_and_handles_of_urdf_are_parts_of_their_cabinet_and_fixed_links_are_not(tmp_path: Path) -> None:
     links = [
-        link("handle", "drawer"),  # before its parent
-        '<link name="world"/>',  # without a shape: it carries objects and is none
+        link("handle", "drawer"),  # listed before its parent
+        '<link name="world"/>',  # has no shape: it supports objects and is not an object
         link("cabinet", "world"),
         link("table", "world", "prismatic"),
         link("drawer", "cabinet", "prismatic"),
@@ -238,7 +238,7 @@ def test_concave_polygons_and_relative_indices_of_obj(tmp_path: Path) -> None:
     (part,) = extract_scene(write(tmp_path / "a.obj", arrow), StageLimits(unit="m", up="z")).parts
     a, b, c = np.moveaxis(part.triangles, 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-    assert area == pytest.approx(2 * 10.0)  # both sides; a fan would cover more
+    assert area == pytest.approx(2 * 10.0)  # both sides; a triangle fan would cover more than the polygon
     textured = obj_room(tmp_path)
     room = extract_scene(write(tmp_path / "room.obj", textured), StageLimits(unit="m", up="z"))
     rug = part_of(room, "/World/Rug")

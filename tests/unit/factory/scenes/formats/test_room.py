@@ -42,7 +42,7 @@ def extract(path: Path) -> Extraction:
 
 
 def kept(extraction: Extraction) -> set[str]:
-    """The features that an extraction shows."""
+    """Returns the features of the room that an extraction contains."""
     parts = extraction.parts
     names = {segment.lower() for part in parts for segment in part.path.split("/")}
     reds = [part.tints[..., 0].max() if part.tints is not None else part.surface.colour[0] for part in parts]
@@ -89,7 +89,7 @@ def test_a_room_of_gltf_compiles_to_a_package_with_a_red_chair(tmp_path: Path) -
     (target,) = scene.info.targets
     assert (target.category, target.colour) == ("chair", "red")
     assert scene.textures[0][0, 0].tolist() == [40, 90, 200]
-    assert scene.light_map.size  # the light is estimated without lamps in the file
+    assert scene.light_map.size  # the light is estimated, without the lamp of the file
     assert any("1 lights of the file are not used" in note for note in scene.info.notes)
 
 

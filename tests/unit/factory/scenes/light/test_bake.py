@@ -28,7 +28,7 @@ def bake(boxes: Sequence[Box], lamps: Sequence[int] = (LAMP_NUMBER,)) -> LightMa
 
 
 def light_at(light: LightMap, boxes: Sequence[Box], box: int, axis: int, sign: int, place: tuple[float, ...]) -> float:
-    """The mean of the three channels at a position on the face of a box along an axis."""
+    """Returns the mean of the three channels at a position on the face of a box that is perpendicular to an axis."""
     triangles = box_triangles(boxes)
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     for row in range(12 * box, 12 * box + 12):
@@ -47,7 +47,7 @@ def floor_light(light: LightMap, boxes: Sequence[Box], x: float, y: float) -> fl
 
 
 def light_in(light: LightMap, triangle: int, weights: tuple[float, float, float]) -> float:
-    """The mean of the three channels, read between texels as the renderer does, at a point of a triangle."""
+    """Returns the mean of the three channels at a point of a triangle, interpolated like in the renderer."""
     rows, columns = light.picture.shape[:2]
     u, v = np.array(weights) @ light.uvs[triangle] * (columns, rows) - 0.5
     column, row = int(u), int(v)
@@ -57,7 +57,7 @@ def light_in(light: LightMap, triangle: int, weights: tuple[float, float, float]
 
 @pytest.mark.parametrize("lamps", [((0.0, 0.0),), ((-2.0, -1.6), (2.0, -1.6), (-2.0, 1.6), (2.0, 1.6))])
 def test_the_light_of_a_symmetric_room_is_symmetric(lamps: tuple[tuple[float, float], ...]) -> None:
-    """A difference between the halves of a large face is noise of too few rays, which is visible as clouds."""
+    """If the halves of a large face differ, too few rays were traced; this noise is visible as clouds."""
     halves = [(x, y) for x in (-1, 1) for y in (-1, 1)]
     desks = [Box((1.5 * x - 0.6, y - 0.3, 0.7), (1.5 * x + 0.6, y + 0.3, 0.74)) for x, y in halves]
     lit = [Box((x - 0.3, y - 0.6, 2.45), (x + 0.3, y + 0.6, 2.49)) for x, y in lamps]

@@ -67,7 +67,7 @@ def test_an_authored_collider_replaces_the_meshes_inside_it() -> None:
     proxy = part("/World/Shelf/collision", box((0, 0, 0), (0.2, 1, 1)), is_collider=True)
     far = part("/World/Shelf/collision_2", box((0.9, 0, 0), (1, 1, 1)), is_collider=True)
     solid = solid_triangles([shown, beside], [proxy, far], 0.0)
-    assert len(solid) == 3 * 10  # geometry on the floor counts as floor
+    assert len(solid) == 3 * 10  # of each box, the 2 triangles on the floor count as floor
     assert not ((solid[:, :, 0] > 0.2) & (solid[:, :, 0] < 0.9)).any()
 
 

@@ -1,4 +1,4 @@
-"""The outermost match is the object; containers, groups and scopes are descended. Shape and colour have to fit too."""
+"""The outermost matching prim is the object; containers, groups and scopes are searched. Shape and colour must fit."""
 
 from __future__ import annotations
 

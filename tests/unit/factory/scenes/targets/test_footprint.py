@@ -12,7 +12,7 @@ from schemas.support.planar import footprint_distances
 
 
 def triangles_of(*corners: tuple[float, float]) -> np.ndarray:
-    """A fan over the corners, at growing heights."""
+    """Returns a fan of triangles over the corners, whose heights increase."""
     points = [(x, y, 0.1 * height) for height, (x, y) in enumerate(corners)]
     return np.array([(points[0], a, b) for a, b in zip(points, (*points[1:], points[0]), strict=True)], float)
 

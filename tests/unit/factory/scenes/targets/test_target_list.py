@@ -1,4 +1,4 @@
-"""The target list can be read and edited and is applied; its errors are named."""
+"""The target list: reading, editing and applying it, and the messages for its errors."""
 
 from __future__ import annotations
 
