@@ -23,7 +23,7 @@ from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
 fork_children_from_interpreter(("factory.__main__", *IMPORTED, *IMPORTED_BY_TESTS))
-atexit.register(gc.freeze)  # the collections at the exit of the interpreter would take seconds
+atexit.register(gc.freeze)  # garbage collections at the exit of the interpreter would take seconds
 # no test depends on the speed of the machine
 hypothesis.settings.register_profile(
     "any-speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
@@ -32,7 +32,7 @@ hypothesis.settings.load_profile("any-speed")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--scene-seeds N`: number of seeds of each built-in scene in the contract suite."""
+    """Adds the number of tested seeds of each built-in scene, and an option for each folder that is off by default."""
     parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to test")
     parser.addoption("--install", action="store_true", help="run tests/install, which installs the wheel from an index")
     parser.addoption("--engines", action="store_true", help="run tests/engines, which needs Slurm and Ray")
@@ -41,19 +41,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Collects some folders of tests only with the option of their name."""
+    """Ignores the optional test folders unless the option with the name of the folder is given."""
     folders = ("engines", "install", "ray", "slurm")
     option = next((name for name in folders if collection_path == Path(__file__).parent / name), None)
     return True if option is not None and not config.getoption(f"--{option}") else None
 
 
 def pytest_collection() -> None:
-    """Disables the garbage collector while tests are collected, which creates millions of objects that are kept."""
+    """Disables the garbage collector during test collection, which creates millions of objects that are kept."""
     gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Excludes the objects of the collection from later garbage collections, and collects less often."""
+    """Enables the garbage collector, less often, and without the objects that test collection has created."""
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
     gc.enable()
@@ -61,7 +61,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of all processes of the session, for what `build_once` builds."""
+    """Folder shared by all processes of the session, for data built by `build_once`."""
     return session_folder(tmp_path_factory.getbasetemp())
 
 
@@ -81,7 +81,7 @@ def layouts(shared: Path) -> Layouts:
 
 @pytest.fixture(scope="session")
 def server() -> Iterator[ForkServer]:
-    """The process that commands are forked from."""
+    """The fork server that starts the commands of the tests."""
     with start_server() as started:
         yield started
 
@@ -128,7 +128,7 @@ def guarded_process() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Paths of the homes of tests; numbered here, because `mktemp` lists all existing ones each time."""
+    """Yields a new home path for each test; `mktemp` would list all existing folders for each new one."""
     folder = tmp_path_factory.mktemp("homes")
     return (folder / str(number) for number in itertools.count(1))
 

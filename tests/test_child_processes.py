@@ -1,4 +1,4 @@
-"""The processes that tests start: a hanging one fails its test and nothing else."""
+"""Checks that a hanging process fails the test that started it and affects no other test."""
 
 from __future__ import annotations
 

@@ -22,12 +22,12 @@ SOURCES = sorted(
 )
 CITING = [*PAGES, *SOURCES, ROOT / "Makefile", ROOT / "pyproject.toml", ROOT / ".github"]
 HISTORY = ROOT / "CHANGELOG.md"
-"""Keeps the names and paths of its time."""
+"""Each entry keeps the names and paths that were valid at its date."""
 OTHERS = re.compile(r"\b(DESIGN|STYLE) \d|\b(DESIGN|STYLE)\.md|\bnotes/|\bnotes of the project")
 """Former citations of documents outside the repository."""
 PATH = re.compile(rf"(?<![\w./:\-])((?:{'|'.join(PACKAGES)}|tests|docs|deploy)/[\w./\-]+)(#[\w\-]+)?")
 MADE = {"tests/data", "factory/run"}
-"""Texts that look like paths."""
+"""Texts in the documents that look like paths but are not paths."""
 
 
 def shown(path: Path) -> str:

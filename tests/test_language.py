@@ -19,7 +19,7 @@ PACKAGES = ("schemas", "coordinator", "workers", "factory", "minivla", "tests", 
 OTHER_SUFFIXES = ("c", "css", "html", "j2", "service", "sh", "toml", "yaml", "yml")
 OTHER_FILES = ("Makefile", "pyproject.toml")
 HISTORY = {ROOT / "CHANGELOG.md", *(ROOT / "docs" / "decisions").glob("*.md")}
-"""Texts that are true at their date and keep the names of that date."""
+"""Texts that describe the state at their date and keep the names of that date."""
 PHRASES = Path(__file__).with_name("banned_phrases.toml")
 """Phrases, regular expressions and former names, each with a replacement. Former names are not banned in `HISTORY`."""
 LISTS = {Path(__file__), PHRASES}
@@ -50,7 +50,7 @@ def replacement_of(hit: re.Match[str]) -> str:
 
 
 def python_text(source: str) -> Iterator[tuple[int, str]]:
-    """Yields line and text of docstrings, comments and strings of several words; fields of f-strings are code."""
+    """Yields line and text of docstrings, comments and strings of several words, without the fields of f-strings."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
             yield node.lineno, node.value

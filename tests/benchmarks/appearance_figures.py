@@ -1,6 +1,6 @@
-"""Draws the figures of docs/appearance.md: clean frames, and frames with each factor, of built-in scenes.
+"""Draws the figures of docs/appearance.md: frames of built-in scenes, clean and with each appearance.
 
-`python -m tests.benchmarks.appearance_figures DIR` writes one JPEG for each factor. Measures nothing.
+`python -m tests.benchmarks.appearance_figures DIR` writes one JPEG for each appearance. Measures nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SIZE, _EPISODES = 640, (1, 2, 3, 4)
 _SHOWN = 240
 """Side of a frame in the figures, pixels."""
 _VIEWS = {"office": (18, -0.7), "hospital": (23, 3.0), "full_warehouse": (60, 2.25)}
-"""Spawn point and heading, radians, of the frames of each scene."""
+"""Scene -> (number of the spawn point, heading in radians) of its frames."""
 
 
 def main(folder: Path) -> None:
@@ -56,7 +56,7 @@ def _place(name: str) -> AppearanceScene:
 
 
 def _row(renderer: Renderer, place: AppearanceScene, pose: Pose, name: str) -> NDArray[np.uint8]:
-    """Returns the clean frame and those of four episodes."""
+    """Returns the clean frame and the frames of four episodes with an appearance, side by side."""
     poses = np.array(((pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz),))
     camera = CameraConfig()
     renderer.load(place.scene, camera)

@@ -1,7 +1,8 @@
-"""Measures the CPU time of inserting the episodes of many layouts into a ledger: `PACKAGE [LAYOUTS] [LEDGER]`.
+"""Measures the CPU time of inserting the episodes of many layouts into a ledger. Builds no layout.
 
-PACKAGE is the package of a home, which is used for every layout; the first LAYOUTS of 10,000 are inserted, by default
-all. LEDGER is a database that is kept, so that a run that was killed can be continued. Builds nothing.
+Arguments: `PACKAGE [LAYOUTS] [LEDGER]`. PACKAGE is the package of one home; it is used for every layout. LAYOUTS is the
+number of layouts to insert, by default all 10,000. LEDGER is the file of a database that is kept, so that a killed run
+can be continued.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _LAYOUTS, _EPISODES = 10_000, 1_000_000
 
 
 def main() -> None:
-    """Prints the CPU time of opening, inserting and reading, and the largest memory."""
+    """Prints the CPU time of opening the ledger, inserting episodes and reading the progress, and the peak memory."""
     entry, layouts = read_entry(Path(sys.argv[1])), int(sys.argv[2]) if len(sys.argv) > 2 else _LAYOUTS
     plan = Plan.model_validate(
         {
@@ -47,13 +48,13 @@ def main() -> None:
 
 
 def expand(plan: Plan, entry: SceneEntry, layouts: int, ledger: Path) -> None:
-    """Inserts the episodes of the layouts that a ledger does not have yet, each layout in one transaction."""
+    """Inserts the episodes of the layouts that the ledger does not contain yet, each layout in one transaction."""
     now = datetime.now(UTC)
     engine = open_writer(f"sqlite:///{ledger}")
     with engine.connect() as connection:
         built = dict.fromkeys(built_layouts(connection) if holds_run(connection) else (), entry)
     open_run(engine, plan, built, 15.0, now)
-    _say(f"opened, {len(built)} layouts are there")
+    _say(f"opened, {len(built)} layouts inserted by an earlier run")
     with engine.begin() as connection:
         builds = open_builds(connection)[:layouts]
     for number, build in enumerate(builds, start=1):

@@ -1,4 +1,6 @@
-"""Measures language in built-in scenes: instructions per second of CPU time, and rejected changed words.
+"""Measures language in built-in scenes: instructions per second of CPU time, and how well the verifier works.
+
+The verifier must reject instructions that a changed word has made false or ambiguous.
 
 python -m tests.benchmarks.language office hospital full_warehouse warehouse_multiple_shelves home_00001
 
@@ -42,7 +44,7 @@ LanguageStart = tuple[int, tuple[float, float, float]]
 
 
 def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Generator) -> list[LanguageStart]:
-    """Returns numbers of targets, and poses within 1.5 to 7 m that roughly face them, as near and mid episodes have."""
+    """Returns targets (object numbers) and start poses 1.5 to 7 m away that roughly face them, as in real episodes."""
     found: list[LanguageStart] = []
     while len(found) < _STARTS:
         place = int(rng.integers(len(scene.info.targets)))
@@ -59,9 +61,9 @@ def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Gene
 
 
 def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart]) -> tuple[float, int]:
-    """Returns instructions per second of CPU time, view included, and the number of drives without one."""
+    """Returns instructions per second of CPU time, view included, and the number of drives without an instruction."""
     composer, rng, best, without = Composer(spec), np.random.default_rng(0), 0.0, 0
-    for _ in range(3):  # the first round measures the gaps of footprints, which are kept
+    for _ in range(3):  # the first round also fills caches, so that the best round counts
         begin, count, without = time.process_time(), 0, 0
         for number, pose in starts:
             view = look(language.graph, pose, CAMERA) if spec.needs_view else None
@@ -72,7 +74,10 @@ def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart
 
 
 def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tuple[int, int]:
-    """Returns how many sentences with a changed word the verifier rejected, and how many were false or ambiguous."""
+    """Changes one word of a sentence at a time, so that it is false or ambiguous.
+
+    Returns how many of the changed sentences the verifier rejects, and their number.
+    """
     rng, source, seen, rejected = np.random.default_rng(1), grammar("en"), 0, 0
     patterns = [each for each in source.sentences if each.case == "nom"]
     for number, pose in starts * 3:
@@ -101,14 +106,14 @@ def measure(name: str, folder: Path) -> tuple[int, int]:
     starts = starts_of(scene, language, np.random.default_rng(0))
     for title, spec in _SPECS.items():
         found, without = rate(spec, language, starts)
-        sys.stdout.write(f"  {title:28} {found:7.0f} per second; {without} of {len(starts)} drives without one\n")
+        sys.stdout.write(f"  {title:28} {found:7.0f} per second; {without} of {len(starts)} drives without text\n")
     rejected, seen = rejected_changes(language, starts)
     sys.stdout.write(f"  rejected changed words       {rejected} of {seen}\n")
     return rejected, seen
 
 
 def main() -> None:
-    """Measures the scenes that are named."""
+    """Measures the scenes given as arguments."""
     with tempfile.TemporaryDirectory() as folder:
         cache = Path(os.environ.get("MINIVLA_CACHE", folder))
         total = Counter[str]()

@@ -2,11 +2,11 @@
 
 python -m tests.benchmarks.language_sheets OUT --seed 0 --goals 40 --episodes 12 DATASET [DATASET|PACKAGE ...]
 
-The scenes are those of the datasets and the packages. One map shows the surroundings, the other one the whole scene.
-The target is red, objects of the named kind are blue, landmarks are green; the magenta line is the heading, the orange
-lines are the edges of the image. Each sheet has eight tiles;
-SCENE.tsv lists those of a scene, with the features of the expressions. The texts of a scene depend on its name and the
-seed, and not on other scenes.
+Draws all scenes of the datasets, and the scenes whose packages are given. A sheet has eight tiles. Each tile shows one
+text with the image of the start, a map of the surroundings and a map of the whole scene. The target is red, objects of
+the named kind are blue, landmarks are green. The magenta line is the heading; the two light orange lines limit the
+field of view; the dark orange line is the path. SCENE.tsv lists the tiles of a scene, with the features of the
+expressions. The texts of a scene depend only on its name and the seed.
 """
 
 from __future__ import annotations
@@ -53,26 +53,26 @@ SHEET = (COLUMNS * WIDE, ROWS * (SIDE + HEAD))
 
 
 class Shown(NamedTuple):
-    """Text with what its tile shows."""
+    """A text, and the data that its tile shows."""
 
     kind: str
     text: str
     pose: tuple[float, float, float]
     number: int | None
-    """Object drawn in red."""
+    """Number of the object drawn in red; `None` for no object."""
     named: tuple[Expression, ...] = ()
     path: tuple[tuple[float, float], ...] = ()
     marks: tuple[tuple[float, float], ...] = ()
-    """Ends of the steps of a route."""
+    """Points at which the steps of a route end, metres."""
 
 
 class SceneSheets:
-    """Tiles of one scene.
+    """Draws the tiles of one scene.
 
     Args:
         scene: compiled scene.
-        rng: draws targets, starts and sentences.
-        font_file: font of the texts; that of Pillow, which has no Chinese characters, when `None`.
+        rng: random generator for targets, starts and sentences.
+        font_file: font of the texts; `None` for the default font of Pillow, which has no Chinese characters.
     """
 
     def __init__(self, scene: CompiledScene, rng: np.random.Generator, font_file: Path | None) -> None:
@@ -85,9 +85,9 @@ class SceneSheets:
         return self.language.graph
 
     def goals(self, count: int) -> Iterator[Shown]:
-        """Yields instructions for random targets from random starts; every eighth has a false premise.
+        """Yields instructions for random targets from random starts; every eighth instruction has a false premise.
 
-        Three of four starts see the target, as near and mid starts of episodes do.
+        The target is visible from at least three of four starts, as at the start of near and mid episodes.
         """
         targets, found = self.scene.info.targets, 0
         while found < count:
@@ -113,7 +113,7 @@ class SceneSheets:
                 yield Shown(str(one.kind), one.text, pose, None if is_false else number, meaning)
 
     def of_episode(self, poses: np.ndarray, target_id: str, questions: int) -> Iterator[Shown]:
-        """Yields the route and a number of questions of a recorded episode."""
+        """Yields the route description and up to `questions` questions of a recorded episode."""
         number, path = self.graph.number_of[target_id], DrivenPath(poses)
         track = tuple((float(x), float(y)) for x, y in path.xy[::5])
         for route in RouteComposer(SPEC).write(self.place, poses, number, False, self.rng):
@@ -138,20 +138,20 @@ class SceneSheets:
         return (each.low_m[0] + each.high_m[0]) / 2, (each.low_m[1] + each.high_m[1]) / 2
 
     def surroundings(self, shown: Shown) -> tuple[np.ndarray, float]:
-        """Returns the middle of start, target and path, and half of the side of a map around them, metres."""
+        """Returns the centre of a map around start, target and path, and half the side length of the map, metres."""
         points = np.array(
             [shown.pose[:2], *([self.middle(shown.number)] if shown.number is not None else []), *shown.path]
         )
         return (points.min(0) + points.max(0)) / 2, max(4.5, float(np.ptp(points, axis=0).max()) / 2 + 2)
 
     def whole(self) -> tuple[np.ndarray, float]:
-        """Returns the middle of all objects, and half of the side of a map around them, metres."""
+        """Returns the centre of a map of all objects, and half the side length of the map, metres."""
         corners = np.array([(each.low_m[:2], each.high_m[:2]) for each in self.graph.objects])
         low, high = corners[:, 0].min(0), corners[:, 1].max(0)
         return (low + high) / 2, float((high - low).max()) / 2 + 0.5
 
     def map_of(self, shown: Shown, middle: np.ndarray, half: float) -> Image.Image:
-        """Draws walls, objects, start and path."""
+        """Draws a map of walls, objects, start and path."""
         axis = (np.arange(SIDE) + 0.5) / SIDE * 2 * half - half
         x, y = np.meshgrid(middle[0] + axis, middle[1] - axis)
         cells = self.graph.sight_grid.at(np.stack((x, y), -1)).astype(int)
@@ -187,7 +187,7 @@ class SceneSheets:
         return image
 
     def tile(self, shown: Shown, rgb: np.ndarray, ids: np.ndarray, number: int) -> Image.Image:
-        """Returns text, image with the outline of the target, and maps."""
+        """Draws a tile: text, image with the outline of the target, and two maps."""
         image = rgb.copy()
         if shown.number is not None and shown.kind != "question visible":
             mask = np.isin(ids, self.graph.objects[shown.number].ids)
@@ -249,7 +249,7 @@ def write_sheets(sheets: SceneSheets, shown: Collection[Shown], given: argparse.
 
 
 def _scenes(sources: Sequence[Path]) -> Iterator[tuple[Path, Dataset | None]]:
-    """Yields the packages of the datasets and the other packages."""
+    """Yields each package, with its dataset or, if the package itself was given, with `None`."""
     for source in sources:
         if source.is_file():
             yield source, None

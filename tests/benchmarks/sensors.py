@@ -1,4 +1,4 @@
-"""Measures the CPU time of sensors in the built-in scenes, next to that of a rendered frame of the same run.
+"""Measures the CPU time of sensors in the built-in scenes and, for comparison, of a rendered frame in the same run.
 
 python -m tests.benchmarks.sensors office hospital
 """
@@ -39,7 +39,7 @@ _NOISES = {
 
 
 def cpu_ms(work: Callable[[], object]) -> tuple[float, float]:
-    """Returns median and minimum of the CPU time of a call, milliseconds."""
+    """Returns median and minimum of the CPU times of repeated calls, milliseconds."""
     work()
     times = []
     for _ in range(_REPETITIONS):

@@ -1,7 +1,7 @@
-"""Measures how long a simulation takes to switch between layouts, and its memory: `PACKAGE...`.
+"""Measures the CPU time in which a simulation switches between layouts, and its memory. Arguments: `PACKAGE...`.
 
-Each package is loaded in turn, twice, as an attempt does it: read, collider, grid, upload to the renderer, physics and
-the first frame. Packages are files of a scene cache, with their textures beside them. Builds nothing.
+Loads all packages twice in turn, each with the steps of an attempt: reading, collider, grid, upload to the renderer,
+physics and the first frame. Packages are files of a scene cache, next to their textures. Builds no layout.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from workers.sim.scene_renderer import SceneRenderer
 
 
 def main() -> None:
-    """Prints the CPU time of the switches of the second turn, and the memory."""
+    """Prints the CPU time of the switches in the second pass over the packages, and the memory."""
     packages = [Path(argument) for argument in sys.argv[1:]]
     digests = [hashlib.sha256(package.read_bytes()).hexdigest() for package in packages]
     times = []
@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def switch(simulation: SceneRenderer, package: Path, sha256: str) -> float:
-    """Prepares a layout and renders its first frame; returns the CPU time, seconds."""
+    """Loads a layout and renders its first frame; returns the CPU time, seconds."""
     begin = time.process_time()
     loaded = simulation.load(package, sha256)
     x, y = map(float, loaded.scene.spawns[0])

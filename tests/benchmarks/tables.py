@@ -1,4 +1,6 @@
-"""Measures the CPU time of checkpoints of large ledgers: the first, with a few new episodes, unchanged.
+"""Measures the CPU time of checkpoints of large ledgers.
+
+Writes three checkpoints for each size: the first one, one after 50 new episodes, and one without any change.
 
 python -m tests.benchmarks.tables [ROWS ...]
 """
@@ -28,11 +30,11 @@ from tests.builders.ledger import room_catalog, room_plan
 _NOW = datetime(2026, 1, 2, tzinfo=UTC)
 _SPEC = dict(EpisodeSpec.of(parts_for().meta.job))
 _NEW = 50
-"""Episodes that a busy run archives between two writings."""
+"""Number of episodes that a busy run archives between two checkpoints."""
 
 
 def main(sizes: list[int]) -> None:
-    """Prints the CPU seconds of each write."""
+    """Prints the CPU seconds of each checkpoint."""
     rows = [(size, *_measure(size)) for size in sizes or [10_000, 40_000, 200_000]]
     print_table("tables written from the ledger, CPU seconds", ("rows", "first", f"{_NEW} more", "unchanged"), rows)
 
@@ -40,7 +42,7 @@ def main(sizes: list[int]) -> None:
 def _measure(size: int) -> tuple[float, float, float]:
     plan, catalog = room_plan(size + _NEW), room_catalog()
     with tempfile.TemporaryDirectory() as folder, open_archive(Path(folder)) as archive:
-        engine = create_engine(sqlite_url(Path(folder) / "ledger.db"))  # without keys that bind rows to jobs
+        engine = create_engine(sqlite_url(Path(folder) / "ledger.db"))  # does not enforce foreign keys
         took = []
         checkpoints = Checkpoints(archive, plan, catalog)
         with engine.begin() as connection:

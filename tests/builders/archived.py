@@ -24,13 +24,13 @@ from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan
 
 
 class ArchivedRun:
-    """A dataset directory with `done` archived episodes; `timed_ledger` accesses its ledger.
+    """A dataset directory with `done` archived episodes; `timed_ledger` gives access to its ledger.
 
     Args:
         root: directory of the dataset.
         planned: number of planned episodes.
         done: number of archived episodes.
-        misses: number of failed attempts of the first episode; two exhaust a draw.
+        misses: number of failed attempts of the first episode; two failures use up the attempts of a draw.
         record: what the episodes store.
     """
 
@@ -55,7 +55,7 @@ class ArchivedRun:
         self.timed_ledger.engine.dispose()
 
     def lease_of(self, index: int):  # type: ignore[no-untyped-def]
-        """Claims until the episode with that number is leased and releases the others."""
+        """Claims jobs until the episode with that number is leased, releases the other jobs, and returns the lease."""
         others = []
         while True:
             row = self.timed_ledger.claim()
@@ -76,7 +76,7 @@ class ArchivedRun:
         return RepairInput(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
 
     def pack(self, size: int, *, is_over: bool = True) -> int:
-        """Packs the settled ranges of that size and writes the tables; returns the number of packed episodes."""
+        """Packs the settled ranges of `size` episodes and writes the tables; returns the number of packed episodes."""
         with open_archive(self.root) as archive:
             with self.timed_ledger.engine.connect() as connection:
                 packed = pack_settled(archive, connection, self.plan, is_over, size)

@@ -1,4 +1,4 @@
-"""Opens pages in Chromium and checks them with axe-core; returns the reason if Chromium is not available."""
+"""Opens pages in Chromium and checks them with axe-core."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-"""The last two render WebGL on the CPU."""
+"""The last two flags make Chromium render WebGL on the CPU."""
 _NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-"""The first has no code for windows and takes two thirds of the CPU time of the others."""
+"""Programs, in order of preference. The first has no window code and takes two thirds of the others' CPU time."""
 
 
 def _find() -> str | None:

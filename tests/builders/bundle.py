@@ -1,6 +1,6 @@
-"""Builds the smallest bundle that passes validation: a short drive that ends in a success, with synthetic images.
+"""Builds the smallest bundle that passes validation: a short successful drive with synthetic images.
 
-Parameters break one property at a time. Simulates no physics and renders nothing.
+Tests change one part of it to get a bundle that validation refuses. Simulates no physics and renders nothing.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Frame = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
 GOAL_M = (1.6, 0.0, 0.5)
 """Centroid of the target."""
 RADIUS_M = 1.58
-"""A wide success circle, so that a drive of a few centimetres reaches it."""
+"""Radius of the success circle, metres; so large that a drive of a few centimetres reaches the circle."""
 TARGET_ID, FLOOR_ID, WALL_ID = 7, 1, 2
 _INSTANCES = (
     Instance(id=FLOOR_ID, prim_path="/World/floor"),
@@ -45,12 +45,12 @@ _INSTANCES = (
 
 
 def short_task() -> TaskConfig:
-    """Returns a task that an episode of twelve steps fulfils."""
+    """Returns a task that an episode of twelve steps can complete."""
     return TaskConfig(success_radius_m=RADIUS_M, hold_steps=2)
 
 
 def job_for(index: int = 1, **changes: Any) -> Job:
-    """Returns a job that the smallest bundle fulfils."""
+    """Returns a job for which the smallest bundle is a valid result."""
     values: dict[str, Any] = {
         "run": "test-00000000",
         "plan_digest": "a" * 64,
@@ -79,14 +79,14 @@ def job_for(index: int = 1, **changes: Any) -> Job:
 
 
 def empty_arrays(specs: Mapping[str, ArraySpec]) -> Arrays:
-    """Returns zeros; a sensor of motion has a row for each step."""
+    """Returns zeros for each array; a dimension without a fixed size gets 12 rows, one for each step."""
     shapes = {name: [12 if side is None else side for side in spec.shape] for name, spec in specs.items()}
     return {name: np.zeros(shapes[name], spec.dtype) for name, spec in specs.items()}
 
 
 @dataclass
 class BundleParts:
-    """Content of a bundle; change parts before `write`."""
+    """Content of a bundle; the `with_` methods return changed copies, and `write` returns the bundle."""
 
     meta: EpisodeMeta
     arrays: EpisodeArrays
@@ -119,11 +119,11 @@ class BundleParts:
         return self.write_sealed()[0]
 
     def sealed(self) -> EpisodeMeta:
-        """Returns the metadata as written, digests included."""
+        """Returns the metadata as stored in the bundle, digests included."""
         return self.write_sealed()[1]
 
     def write_sealed(self) -> tuple[bytes, EpisodeMeta]:
-        """Returns the bundle and the metadata as written."""
+        """Returns the bundle and the metadata that it contains."""
         file = io.BytesIO()
         writer = BundleWriter(file)
         if self.meta.job.record is Recording.STATES:

@@ -47,7 +47,7 @@ def make_entry(name: str, targets: Sequence[Target]) -> SceneEntry:
 
 
 def make_catalog(plan: Plan, per_category: int = 5, colour: str = "red") -> Catalog:
-    """Every scene of the plan with `per_category` targets of each category, reachable from every tier."""
+    """Returns every scene of the plan with `per_category` targets of each category, reachable from every tier."""
     entries = {}
     for scene in plan.parts:
         seen, held_out = scene.categories

@@ -30,7 +30,7 @@ NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 
 def chair() -> Target:
-    """Returns the target of the smallest bundle as in its scene."""
+    """Returns the target of the smallest bundle, as the scene describes it."""
     return Target(
         target_id="chair_001",
         category="chair",
@@ -71,9 +71,18 @@ def make_dataset(
     change: Callable[[BundleParts], BundleParts] = lambda parts: parts,
     plan: Plan | None = None,
 ) -> Plan:
-    """Writes a dataset of minimal episodes with alternating splits; complete unless more are planned.
+    """Writes a dataset of minimal episodes; returns its plan.
 
-    `package`, which is complete, replaces the scene, `change` the content of each episode, and `plan` the plan.
+    Args:
+        root: directory of the dataset.
+        episodes: number of episodes to write.
+        planned: number of episodes in the plan; the dataset is incomplete if it is larger than `episodes`.
+        splits: splits that the episodes get in turn.
+        failures: rows of failed attempts; `None` for one failure.
+        with_split_tables: whether to write the tables of the splits.
+        package: complete package of the scene; `None` for `office_package`.
+        change: changes the parts of each episode.
+        plan: plan to use instead of the small plan.
     """
     plan = plan or small_plan(planned or episodes)
     package, textures = split_package(io.BytesIO(package or office_package()))

@@ -1,4 +1,4 @@
-"""Program that describes its process, for the comparison of forked processes with new interpreters."""
+"""Program that describes its process, so that tests can compare a forked process with a new interpreter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MODULE = "tests.builders.described_process"
 
 
 def describe() -> dict[str, Any]:
-    """Returns what a process sees of itself."""
+    """Returns arguments, IDs, pipes and other properties of this process."""
     return {
         "arguments": sys.argv[1:],
         "module": sys.modules["__main__"].__name__,
@@ -31,12 +31,12 @@ def describe() -> dict[str, Any]:
 
 
 def handlers() -> list[str]:
-    """Returns the handlers of SIGINT and SIGTERM. A new process inherits the setting that a signal is ignored."""
+    """Returns the handlers of SIGINT and SIGTERM. If the parent ignores a signal, so does a new process."""
     return [str(signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
 
 
 def is_added_pipe(link: Path) -> bool:
-    """Whether an entry of `/proc/self/fd` is a pipe besides the standard streams; it may be closed meanwhile."""
+    """Returns whether an entry of `/proc/self/fd` is an open pipe other than the standard streams."""
     try:
         return int(link.name) > 2 and str(link.readlink()).startswith("pipe:")
     except OSError:
@@ -44,7 +44,7 @@ def is_added_pipe(link: Path) -> bool:
 
 
 def main() -> int:
-    """Program of the forked processes: describes itself after a line of input, or waits, or gets a name and waits."""
+    """Describes the process after a line of input; with `wait`, waits; with `rename NAME`, renames itself and waits."""
     if sys.argv[1] == "wait":
         signal.pause()
     if sys.argv[1] == "rename":
@@ -59,7 +59,7 @@ def main() -> int:
 
 
 def report(connection: Connection) -> None:
-    """Program of the forked processes of `multiprocessing`."""
+    """Sends the description of the process; target function of a process of `multiprocessing`."""
     connection.send(describe())
 
 

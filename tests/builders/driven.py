@@ -27,11 +27,11 @@ from workers.sim.scene_renderer import SceneRenderer
 
 SCENE = "box_room"
 CONTROL_HZ = 30
-"""Frames per second of the drives: half of the usual ones, so that fewer are rendered."""
+"""Frames per second of the drives: half the usual rate, so that fewer frames are rendered."""
 
 
 def driven_plan(record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL) -> Plan:
-    """Returns a plan of near episodes with short drives in the usual physics steps."""
+    """Returns a plan of near episodes with short drives; the physics step has its usual length."""
     return Plan(
         name="driven",
         scenes=(ScenePlan(name=SCENE, episodes=episodes, usd="room.usda", seen=("crate", "barrel")),),

@@ -1,4 +1,4 @@
-"""A run of one plan by different engines: its command, its progress, and the results that all engines must share."""
+"""Helpers for runs of one plan by several engines: commands, progress, and results that must be equal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HURTS = frozenset({"crash", "hang", "invalid"})
 
 
 def factory(*words: object) -> list[str]:
-    """Returns the command line of `factory` of this environment."""
+    """Returns the command line that runs `factory` with this interpreter."""
     return [sys.executable, "-P", "-m", "factory", *map(str, words)]
 
 
@@ -36,7 +36,7 @@ def outcomes(root: Path) -> Counter[str]:
     try:
         with sqlite3.connect(f"file:{ledger}?mode=ro", uri=True) as opened:
             return Counter(dict(opened.execute("SELECT outcome, count(*) FROM attempts GROUP BY outcome").fetchall()))
-    except sqlite3.OperationalError:  # a coordinator creates it at this moment
+    except sqlite3.OperationalError:  # a coordinator is creating the ledger
         return Counter()
 
 
@@ -46,7 +46,7 @@ def archived(root: Path) -> int:
 
 
 def until(condition: Callable[[], bool], process: subprocess.Popen[bytes], within_s: float = 900.0) -> None:
-    """Waits for an event of a running process; the limit only ends a hang."""
+    """Waits for a condition while a process runs; the time limit only guards against a hang."""
     end = time.monotonic() + within_s
     while not condition():
         assert process.poll() is None, "the process ended early"

@@ -87,7 +87,7 @@ def result_of(number: int = 1, *, success: bool = True, **changes: Any) -> Episo
 
 
 def evaluation_of(*names: str) -> Evaluation:
-    """Returns tables of policies that succeed in three of six episodes, and in none without an instruction."""
+    """Returns tables of policies that succeed in three of six episodes, and in no episode without an instruction."""
     rows = [result_of(n, success=n % 2 == 0, instruction="<b>Go</b>") for n in range(1, 7)]
     rows += [result_of(n, success=False, variant=Variant.EMPTY, instruction="") for n in range(1, 7)]
     scores = tuple(
@@ -109,7 +109,7 @@ def evaluation_of(*names: str) -> Evaluation:
 
 
 def write_evaluation(root: Path, policies: Sequence[str]) -> Path:
-    """Writes results of two policies in six episodes; one failure of the first policy has a film."""
+    """Writes the results of two policies in six episodes; one failure of the first policy has a film."""
     specs = specs_of(*(spec_of(number) for number in range(1, 7)))
     manifest = EvalManifest(run="test-00000000", specs_digest=specs.digest, with_pose=False, act_timeout_s=10.0)
     with Store(root, specs, manifest) as store:

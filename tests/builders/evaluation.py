@@ -31,18 +31,18 @@ from workers.sim.scene_renderer import SceneRenderer
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
 TASK, ROBOT = TaskConfig(control_hz=20), RobotConfig(physics_substeps=12, max_braking_mps2=4.0)
-"""A third of the usual frames per second, in the usual physics steps; the long control period needs gentle braking."""
+"""A third of the usual control rate with the usual physics step; the long control period needs gentle braking."""
 
 
 @functools.cache
 def room_package() -> bytes:
-    """Returns the room of boxes, compiled, under the name of the scene of the small plan."""
+    """Returns the package of the room of boxes; its scene has the name that the small plan uses."""
     scene = box_room()
     return encode_scene(dataclasses.replace(scene, info=scene.info.model_copy(update={"name": "office"})))
 
 
 def room_job(index: int, **changes: object) -> Job:
-    """Returns a job in the room; odd ones go to the crate, even ones to the barrel."""
+    """Returns a job in the room; the target is the crate if `index` is odd, otherwise the barrel."""
     package = room_package()
     category = "crate" if index % 2 else "barrel"
     target = next(target for target in box_room().info.targets if target.category == category)

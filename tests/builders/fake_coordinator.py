@@ -64,7 +64,7 @@ def jobs_with_instructions(*instructions: str) -> tuple[Job, ...]:
 
 
 class FakeCoordinator:
-    """Context manager; `close` followed by `open` is a restart that keeps the state."""
+    """Fake coordinator. Context manager; `close` followed by `open` is a restart that keeps the state."""
 
     def __init__(self, jobs: Sequence[Job], lease_ttl_s: float = 1.0) -> None:
         self.endpoint = free_endpoint()
@@ -74,9 +74,9 @@ class FakeCoordinator:
         """Every message, in order of arrival."""
         self.archived: dict[int, bytes] = {}
         self.ended: dict[int, Fail] = {}
-        """Jobs that will not be given out again."""
+        """Jobs that failed and are not assigned again, by number."""
         self.dropped_replies: Counter[Verb] = Counter()
-        """Number of further replies that are lost, by verb."""
+        """Number of the next replies to drop, by verb."""
         self.pulls = True
         self.drains = False
         self.refuses = ""
@@ -125,9 +125,9 @@ class FakeCoordinator:
         self.close()
 
     def wait_until(self, holds: Callable[[], bool], what: str) -> None:
-        """Waits for a condition; fails with `what` after half a minute."""
+        """Waits for a condition; after two minutes, fails with the message `what`."""
         with self.changed:
-            assert self.changed.wait_for(holds, 120), f"never came: {what}; heard {self.heard[-5:]}"
+            assert self.changed.wait_for(holds, 120), f"timed out waiting for {what}; last messages: {self.heard[-5:]}"
 
     def of(self, kind: type[Model]) -> list[Model]:
         """Returns the messages of one kind."""

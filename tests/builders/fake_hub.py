@@ -27,7 +27,7 @@ class Repository:
     files: dict[str, bytes] = field(default_factory=dict)
     commits: list[str] = field(default_factory=list)
     tags: dict[str, int] = field(default_factory=dict)
-    """Tag -> number of commits up to the tagged one."""
+    """Tag -> number of commits that the repository had when the tag was created."""
 
 
 class FakeHub:
@@ -37,10 +37,10 @@ class FakeHub:
         self.repositories: dict[str, Repository] = {}
         self.objects: dict[str, bytes] = {}
         self.uploads: list[str] = []
-        """Digests in the order they were sent."""
+        """Digests of the uploaded objects in order of arrival."""
         self.requests: list[str] = []
         self.fail_at_commit: int | None = None
-        """Number of the commit that is answered with 400, once."""
+        """Number of a commit that is refused once with status 400; `None` for no failure."""
         hub = self
 
         class Handler(_Handler):

@@ -20,7 +20,7 @@ SIZE = (2 << 20) + 321
 
 
 def bundle_for(job: dict[str, Any]) -> bytes:
-    """Returns the replacement of a bundle, a function of the job only."""
+    """Returns bytes that replace a bundle; they depend only on the job."""
     seed = hashlib.sha256(json.dumps([job["index"], job["attempt"]]).encode()).digest()
     return (seed * (SIZE // len(seed) + 1))[:SIZE]
 
@@ -51,7 +51,7 @@ def finish(order: dict[str, Any]) -> None:
 
 def serve(order: dict[str, Any], markers: Path) -> None:
     word = order["job"]["instruction"].split()[0]
-    # shows tests that the attempt has started, and in which process
+    # the name of this file shows tests which attempt has started, and in which process
     (markers / f"{order['job']['index']}.{os.getpid()}").touch()
     if not Path(order["scene_path"]).is_file():
         tell(kind="failure", reason="crash", detail="no scene")

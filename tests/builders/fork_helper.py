@@ -1,9 +1,10 @@
-"""Forks the Python processes that a tested process starts, instead of starting interpreters that import for a second.
+"""Replaces the Python processes that a tested process starts by forks, because a new interpreter imports for a second.
 
-A helper forks them. It is a child of the process: a copy made before the process starts threads, or a new interpreter.
-The parent of its forks is the parent of the helper, so that they are real children of the process. They have the
-arguments, environment, directory, descriptors and session that the process requested, and run their module as
-`python -m` does. Other programs, and interpreters with other environment variables, are not forked but started.
+A helper process makes the forks. It is a child of the tested process (the owner): either a copy of the owner, made
+before the owner starts threads, or a new interpreter. The parent of each fork is the owner and not the helper, so that
+the forks are real children of the owner. A fork has the arguments, environment, directory, descriptors and session that
+the owner requested, and runs its module as `python -m` does. Programs other than Python, and interpreters with other
+environment variables, are started as usual.
 """
 
 from __future__ import annotations
@@ -55,20 +56,22 @@ FORKED = frozenset(
         "workers.sim.simulate",
     }
 )
-"""Modules that are forked: those that processes of the product start, and those that tests start."""
+"""Modules that are run in forks: modules that the product starts as processes, and modules that tests start."""
 _STARTS_NO_PYTHON = frozenset(
     {VALIDATOR, "tests.builders.fork_server", "tests.builders.small_simulation", "workers.render.process_child"}
 )
 _SPAWNED = re.compile(r"from multiprocessing\.spawn import spawn_main; spawn_main\((\w+)=(\d+), (\w+)=(\d+)\)")
 _AT_START = re.compile(r"LD_|PYTHON[A-Z]")
-"""Beginning of the names of variables that loader and interpreter read at their start. `PYTHON` is one of `make`, and
-`PYTHON_VERSION` one of images; the interpreter's own names with `PYTHON_`, since 3.13, change nothing in a fork."""
+"""Prefixes of variables that the dynamic loader and the interpreter read at their start. Names such as `PYTHON`, which
+`make` uses, and `PYTHON_VERSION`, which container images set, do not match. The variables with `PYTHON_` that the
+interpreter reads since 3.13 do not match either; they change nothing in a fork."""
 _CHANGES_NO_PROGRAM = frozenset({SAFE_PATH, "PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"})
-"""Those that do not prevent a fork: the validator has none of them, while `make`, CI and images set some of them."""
+"""Variables that match `_AT_START` but do not prevent a fork. `make`, CI and images set some of them; the environment
+of the validator contains none of them."""
 NEW_INTERPRETER = "PYTHONNEWINTERPRETER"
-"""Variable of this name that a test sets: its processes are new interpreters."""
+"""Variable that a test sets to get new interpreters instead of forks."""
 _VALIDATION_BYTES = 512 << 20
-"""Address space that a validator needs in addition to that of the helper, bytes."""
+"""Address space that a validator needs in addition to the address space of the helper, bytes."""
 _LARGEST, _MOST_FDS = 1 << 17, 64
 _CLONE = {"x86_64": 56, "aarch64": 220}[platform.machine()]
 _CLONE_PARENT = 0x8000
@@ -88,7 +91,7 @@ class _Order:
     environment: dict[str, str]
     folder: str
     targets: list[int]
-    """Number of each descriptor of the message in the new process."""
+    """For each descriptor sent with the order, its number in the new process."""
     new_session: bool
 
 
@@ -102,10 +105,10 @@ class _Helper:
         self._bytes = int(ready)
 
     def has_room(self, words: Sequence[str]) -> bool:
-        """Whether the address space of a validator is large enough for a copy of the helper."""
+        """Returns whether the memory limit of a validator permits a copy of the helper; other modules have no limit."""
         if words[3] != VALIDATOR:
             return True
-        limits = json.loads(words[4])  # without the model, whose import takes longer than most forks
+        limits = json.loads(words[4])  # not parsed by the pydantic model, whose import takes longer than most forks
         return bool(limits["memory_bytes"] - self._bytes >= _VALIDATION_BYTES)
 
     def fork(self, order: _Order, fds: Sequence[int]) -> int:
@@ -118,14 +121,14 @@ class _Helper:
 
 
 def fork_children(modules: Set[str] = FORKED) -> None:
-    """Starts the helper of this process, which forks its children from now on. Call it before threads start.
+    """Starts the helper of this process; later child processes are forked by it. Call this before threads start.
 
     Args:
         modules: modules of the children that are forked. Processes of `multiprocessing` are forked too.
     """
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     name = _COMM.read_text().rstrip("\n")
-    _COMM.write_text(NAME)  # the helper has its name from the start
+    _COMM.write_text(NAME)  # the helper inherits this name
     if os.fork() == 0:
         ours.close()
         _serve(theirs)
@@ -157,18 +160,18 @@ def fork_children_from_interpreter(imports: Sequence[str], modules: Set[str] = F
                 theirs.close()
                 started.append((_Helper(ours), process))
                 atexit.register(process.wait)
-                atexit.register(ours.close)  # which ends it
+                atexit.register(ours.close)  # this ends the helper
         return started[0][0]
 
     _replace_start(_Forkable(modules), helper)
 
 
 def prepare_forks() -> None:
-    """Makes later forks of this process cheaper, once it has imported what they need.
+    """Makes later forks of this process cheaper; call it after all imports that the forks need.
 
-    Garbage collections in the forks exclude its objects and are less frequent: with Python's thresholds they take 3 %
-    of the CPU time of the suite. Its memory is moved to huge pages if the kernel can do so, because a fork copies the
-    page tables.
+    Garbage collections in the forks skip the objects of this process and are less frequent, because collections with
+    Python's default thresholds take 3 % of the CPU time of the suite. The memory of this process is moved to huge pages
+    if the kernel supports this, because a fork copies the page tables.
     """
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
@@ -181,9 +184,9 @@ def prepare_forks() -> None:
 
 
 def end_after(program: Callable[[], object]) -> NoReturn:
-    """Calls the program and ends the process as an interpreter does, but leaves alone the memory of its parent.
+    """Calls the program and ends the process as an interpreter does, but does not clear the modules.
 
-    Clearing all modules would copy that memory, which takes a quarter of a second.
+    Clearing them would copy the memory shared with the parent, which takes a quarter of a second.
     """
     status = 0
     try:
@@ -226,7 +229,7 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 class _Forkable:
-    """The commands of this process that a fork runs as a new interpreter would. Forks of this process have none."""
+    """Set of the commands that a fork can run in place of a new interpreter; empty in a fork of this process."""
 
     def __init__(self, modules: Set[str]) -> None:
         self._modules, self._owner = modules, os.getpid()
@@ -244,7 +247,7 @@ class _Forkable:
 
 
 def _replace_start(forkable: _Forkable, helper: Callable[[], _Helper]) -> None:
-    """Replaces the function that starts processes of `subprocess` and `multiprocessing` by forks where possible."""
+    """Replaces the function with which `subprocess` and `multiprocessing` start processes; it forks where possible."""
 
     def start(args: Sequence[Any], programs: object, *others: Any) -> int:
         (
@@ -270,7 +273,7 @@ def _parse(variables: Sequence[bytes]) -> dict[str, str]:
 
 
 def _serve(orders: socket.socket) -> NoReturn:
-    """Forks what the owner orders until the owner has ended."""
+    """Forks a process for each order of the owner until the owner has ended."""
     group = os.getpgrp()
     os.setpgid(0, 0)  # signals to the owner's group do not reach this process
     _keep_only({orders.fileno(): orders.fileno()})
@@ -290,12 +293,12 @@ def _serve(orders: socket.socket) -> NoReturn:
 
 
 def _fork_sibling() -> int:
-    """Forks this process, which has one thread, as `os.fork` does, but the parent of the copy is that of this process.
+    """Forks this process, which must have one thread. The parent of the copy is the parent of this process.
 
     Raises:
         OSError: the system cannot create a process.
     """
-    ctypes.pythonapi.PyOS_BeforeFork()  # what `os.fork` calls too
+    ctypes.pythonapi.PyOS_BeforeFork()  # `os.fork` calls this too
     pid = int(_call_system(_CLONE, _CLONE_PARENT, 0, 0, 0, 0))
     if pid == 0:
         ctypes.pythonapi.PyOS_AfterFork_Child()
@@ -330,14 +333,14 @@ def _run(order: _Order, fds: Sequence[int]) -> NoReturn:
     if module not in _STARTS_NO_PYTHON:
         fork_children()
     sys.argv = [module, *words]
-    for name in (module, f"{module}.__main__"):  # to be executed as `__main__`, not to be found
+    for name in (module, f"{module}.__main__"):  # `runpy` warns if the module is imported already
         if not hasattr(sys.modules.get(name), "__path__"):
             sys.modules.pop(name, None)
     end_after(lambda: runpy.run_module(module, run_name="__main__", alter_sys=True))
 
 
 def _keep_only(fds: Mapping[int, int]) -> None:
-    """Gives descriptors the numbers that are the keys and closes the others; 0, 1 and 2 lead nowhere by default."""
+    """Renumbers descriptors to the keys of `fds` and closes all others; missing standard streams become /dev/null."""
     first = max(fds, default=2) + 1
     copies = {target: fcntl.fcntl(fd, fcntl.F_DUPFD, first) for target, fd in fds.items()}
     nowhere = os.open(os.devnull, os.O_RDWR)

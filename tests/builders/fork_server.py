@@ -1,4 +1,4 @@
-"""Starts processes quickly: forks them from a process that has imported their modules.
+"""Starts processes quickly by forking them from a process that has already imported their modules.
 
 Each child is a real process with its own session, output files, arguments, environment and working directory.
 """
@@ -37,11 +37,11 @@ class Child:
         self._ended = threading.Event()
 
     def poll(self) -> int | None:
-        """Returns the exit status, minus the signal that ended it, or `None` while it runs."""
+        """Returns the exit status, `-N` if signal N ended the process, or `None` while it runs."""
         return self._status
 
     def wait(self, timeout: float | None = None) -> int:
-        """Returns the exit status once it has ended."""
+        """Waits for the end of the process and returns its exit status."""
         if not self._ended.wait(timeout):
             raise subprocess.TimeoutExpired(list(self.args), timeout or 0.0)
         assert self._status is not None
@@ -123,7 +123,7 @@ class ForkServer(Closing):
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.write("\n")  # not only the end of the input: a fork of this process may keep stdin open
+            self._process.stdin.write("\n")  # closing stdin is not enough: a fork of this process may keep it open
             self._process.stdin.close()
         self._process.wait()
         self._thread.join()
@@ -149,7 +149,7 @@ def main() -> None:
     for module in sys.argv[1:]:
         importlib.import_module(module)
     prepare_forks()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner, which closes stdin
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # at Ctrl-C, the owner closes stdin
     hear, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake)

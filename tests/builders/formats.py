@@ -1,4 +1,4 @@
-"""Writes one room in every 3D format that is imported: floor, four walls and a red chair, metres, z up.
+"""Writes one room in every 3D format that can be imported: floor, four walls and a red chair, in metres, z up.
 
 The texts are written by hand, so that no writer shares code with the readers. Uses the standard library and Pillow.
 """
@@ -103,7 +103,7 @@ class Gltf:
         return node
 
     def box(self, box: Box, **more: Any) -> int:
-        """Adds a box, turned from z up to y up."""
+        """Adds a box, rotated from z up to y up."""
         colour = [value**2.2 for value in box.colour]
         material = self.add("materials", {"pbrMetallicRoughness": {"baseColorFactor": [*colour, 1.0]}})
         mesh = self.mesh([(x, z, -y) for x, y, z in corners(box)], list(TRIANGLES), material=material)
@@ -242,7 +242,7 @@ def mjcf_room(folder: Path, more: str = "", head: str = "") -> str:
 
 
 def write_room(folder: Path, suffix: str) -> Path:
-    """Writes the room as `room` with a suffix: .glb, .gltf, .obj, .stl, .ply, .dae, .sdf, .urdf or .xml."""
+    """Writes the room as `room` + suffix; suffixes: .glb, .gltf, .obj, .stl, .ply, .dae, .sdf, .urdf, .xml."""
     if suffix in (".glb", ".gltf"):
         document = gltf_room(folder)
         data = document.glb() if suffix == ".glb" else document.gltf()

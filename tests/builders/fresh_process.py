@@ -1,7 +1,7 @@
-"""Runs a test in a new process, from which it may fork.
+"""Runs a test in a new process that can fork safely.
 
-A fork of the process of pytest contains none of the threads that earlier tests have left (Zenoh, Arrow, Mesa) but all
-the locks that they held.
+Earlier tests leave threads (Zenoh, Arrow, Mesa) in the process of pytest. A fork of that process does not contain these
+threads, but contains the locks that they held.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ import pytest
 from tests.builders.process_state import children_of
 
 _STACK_S = 1.0
-"""Time in which a process writes its stacks, seconds; two that write at once mix their lines."""
+"""Time for one process to write its stacks, seconds; if two processes write at the same time, their lines mix."""
 
 
 def in_fresh_process(act: Callable[..., object], *args: object, timeout_s: float = 200.0) -> None:
     """Calls a function of a module in a new process; fails with its traceback if it raises.
 
     Args:
-        act: function, which `pickle` can name.
+        act: function of a module, because `pickle` sends it by name.
         args: its arguments.
         timeout_s: time after which the process and its forks write their stacks to stderr and are killed.
     """
@@ -46,7 +46,7 @@ def in_fresh_process(act: Callable[..., object], *args: object, timeout_s: float
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        process.kill()  # also one that leads no group yet
+        process.kill()  # if the process has not created its group yet
         process.join()
         ours.close()
     assert not failure, failure

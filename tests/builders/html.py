@@ -1,4 +1,4 @@
-"""Parses a page: checks that its tags are balanced and collects elements for tests."""
+"""Parses HTML pages for tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _LINKS = {"href", "src", "poster", "xlink:href"}
 
 
 class Outline(HTMLParser):
-    """Checks that tags are balanced and collects elements."""
+    """Parses a page; checks that its tags are balanced, and collects IDs, links, tags and attributes."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -19,7 +19,7 @@ class Outline(HTMLParser):
         self.tags: set[str] = set()
         self.attributes: set[str] = set()
         self.table_parents: list[tuple[str, dict[str, str | None]]] = []
-        """Classes and attributes of the element around each table."""
+        """For each table, the `class` and all attributes of its parent element."""
         self.feed(text)
         self.close()
         assert not self.open

@@ -1,4 +1,4 @@
-"""Prints numbers that are part of episodes: `python -m tests.builders.kernels`, for runs with other library kernels."""
+"""Prints values of computations that enter episodes, so that runs with other BLAS and numpy kernels can be compared."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def make_authority(
     gateways: Sequence[str] = (),
     evaluators: Sequence[str] = (),
 ) -> Path:
-    """Returns the folder of an authority with a coordinator named hub and these hosts."""
+    """Returns the folder of an authority that has signed certificates of a coordinator named hub and of the hosts."""
     now = datetime.now(UTC)
     create_authority(folder, "test", days, now)
     admit(folder, "hub", Role.COORDINATOR, (), days, now)

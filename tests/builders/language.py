@@ -84,7 +84,7 @@ def _standing(kind: str, x: float, y: float) -> Box:
 
 
 def _with_words(scene: CompiledScene, lamp_id: int) -> CompiledScene:
-    """Gives the targets their colours, and the lamp, which has no category, the name of its prim."""
+    """Sets the colour words of the targets, and the prim path of the lamp, which has no category."""
     colours = [*(colour for *_, colour in _FURNITURE), "unknown", "red"]
     targets = tuple(
         target.model_copy(update={"colour": colour}) for target, colour in zip(scene.info.targets, colours, strict=True)
@@ -119,7 +119,7 @@ def two_rooms() -> SceneLanguage:
 
 
 def number_at(x: float, y: float) -> int:
-    """Returns the number of the object of the furnished scene that stands at a point."""
+    """Returns the number of the object of the furnished scene that is nearest to a point."""
     return min(
         range(len(two_rooms().graph.objects)),
         key=lambda number: math.dist(two_rooms().facts.centre[number].tolist(), (x, y)),
@@ -138,14 +138,14 @@ def views(count: int, seed: int = 0) -> list[SceneView]:
 
 
 def search_of(view: SceneView | None, number: int, scene: SceneLanguage | None = None) -> Search:
-    """Returns the search for expressions of an object with all features and English words."""
+    """Returns a search for English expressions of an object; the search may use all features."""
     scene, words = scene or two_rooms(), grammar("en")
     seen = None if view is None else ViewFacts(scene.facts, view)
     return Search(scene.parts, seen, number, tuple(Family), words)
 
 
 def changed(expression: Expression) -> Iterator[Expression]:
-    """Yields expressions that differ from an expression in one word."""
+    """Yields the expressions that result from changing one word of an expression."""
     for colour in ("red", "blue", "green", "brown", "gray", "black", "white"):
         if expression.colour not in (None, colour):
             yield expression.model_copy(update={"colour": colour})
@@ -198,9 +198,9 @@ def _renamed(landmark: Landmark, kind: str) -> Landmark:
 
 
 def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
-    """Returns whether an expression surely does not fit the target, or surely fits another object too.
+    """Returns whether an expression certainly does not fit the target, or certainly fits another object too.
 
-    Follows the generator's masks, and not the verifier.
+    Uses the masks of the generator, not the verifier.
     """
     facts = search.facts
     masks = facts.described(expression.kind, expression.colour, expression.material)
@@ -223,7 +223,8 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
 
 
 def _is_wrongly_selected(expression: Expression, search: Search, masks: Masks) -> bool:
-    """Returns whether the selector of an expression selects another object than the target."""
+    """Returns whether the selector of an expression (size, ordinal or superlative) selects an object other than the
+    target."""
     chosen = next((clause for clause in expression.clauses if clause.relation in SUPERLATIVES), None)
     wanted = expression.size, expression.ordinal, chosen
     for number in np.flatnonzero(masks.sure).tolist():

@@ -1,4 +1,4 @@
-"""Builds small layouts in packages of format 4, with textures of one colour that layouts share."""
+"""Builds small layouts in packages of format 4, with plain textures that layouts can share."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class MadeLayout:
 
 
 def layout_scene(layout: str, category: str = "chair", shades: tuple[int, ...] = (40, 200)) -> CompiledScene:
-    """Returns a room with one object; texture k has the grey of `shades[k]`, and walls and object have one each."""
+    """Returns a room with one object. Texture k is plain grey of value `shades[k]`; the object has the last texture."""
     textures = np.array(shades, np.uint8)[:, None, None, None] * np.ones(
         (TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3), np.uint8
     )

@@ -1,4 +1,4 @@
-"""Floor plans of the built-in families, laid out once in a session, and the boxes of their pieces."""
+"""Floor plans of the built-in families, generated once in a session, and the boxes of their pieces."""
 
 from __future__ import annotations
 
@@ -83,8 +83,9 @@ class Solid(NamedTuple):
 
 
 def penetration(one: Solid, two: Solid) -> float:
-    """Returns how far two upright boxes intersect, metres: the least of the overlaps along height and along the sides
-    of both; 0 or less if they do not meet."""
+    """Returns the depth by which two upright boxes intersect, metres; 0 or less if they do not intersect.
+
+    The depth is the smallest of the overlaps along the height and along the horizontal sides of both boxes."""
     z = min(one.high[2] + one.placement.z, two.high[2] + two.placement.z) - max(
         one.low[2] + one.placement.z, two.low[2] + two.placement.z
     )
@@ -92,7 +93,7 @@ def penetration(one: Solid, two: Solid) -> float:
 
 
 def _overlap(frame: Solid, other: Solid) -> float:
-    """Returns the least overlap along the two sides of the first box."""
+    """Returns the smaller of the overlaps along the two horizontal sides of the first box, metres."""
     corners = _in_frame(frame.placement, _corners(other))
     low, high = corners.min(axis=0), corners.max(axis=0)
     return float(np.min(np.minimum(frame.high[:2], high) - np.maximum(frame.low[:2], low)))

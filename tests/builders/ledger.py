@@ -35,7 +35,7 @@ SHA256 = "c" * 64
 
 
 def room_plan(episodes: int = 3, record: Recording = Recording.FRAMES, **budget: int) -> Plan:
-    """Returns a plan whose jobs are all fulfilled by the smallest bundle."""
+    """Returns a plan for which the smallest bundle is a valid result of every job."""
     return Plan(
         name="room",
         scenes=(ScenePlan(name="room", episodes=episodes, usd="room.usda", seen=("chair",)),),
@@ -48,7 +48,9 @@ def room_plan(episodes: int = 3, record: Recording = Recording.FRAMES, **budget:
 
 
 def room_catalog(folder: Path | None = None, seed: int = 0) -> Catalog:
-    """One scene with three chairs at one position; with a folder its package is a file of 1.5 MB, without arrays."""
+    """Returns a catalog of one scene with three chairs at the same position.
+
+    With a folder, a package of 1.5 MB without arrays is written there."""
     targets = tuple(
         Target(
             target_id=f"chair_{number:03d}",
@@ -93,7 +95,7 @@ def _smallest_meta() -> EpisodeMeta:
 
 
 class TimedLedger:
-    """A ledger with a clock, accessed like by the protocol: each call is one transaction."""
+    """A ledger with a clock that tests advance. As in the protocol, each call is one transaction."""
 
     def __init__(self, plan: Plan | None = None, url: str = "sqlite://", catalog: Catalog | None = None) -> None:
         self.plan = plan or room_plan()
@@ -151,7 +153,7 @@ class TimedLedger:
             )
 
     def archive(self, lease: Lease) -> bool:
-        """Performs the last step of a puller."""
+        """Records a pulled episode as archived, which is the last step of a puller."""
         with self.open() as connection:
             row = connection.execute(select(jobs).where(jobs.c.id == lease.job_id)).one()
             return outcomes.archive(connection, lease, summary_for(row), self.now)

@@ -1,4 +1,4 @@
-"""Changes a ledger at random with the functions of a run, so that every kind of change occurs. Checks nothing."""
+"""Changes a ledger at random with the functions that a run uses; every kind of change occurs. Checks nothing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _REASONS = (FailReason.TIMEOUT, FailReason.COLLISION, FailReason.CRASH, FailReas
 
 
 def scatter(timed_ledger: TimedLedger) -> None:
-    """Spreads the claims over all episode numbers."""
+    """Changes the order in which jobs are claimed, so that claims are spread over all episode numbers."""
     with timed_ledger.open() as connection:
         connection.execute(update(jobs).values(not_before=(jobs.c.idx * 7919) % 4096 / 4096))
 

@@ -27,8 +27,7 @@ _CHAIRS = (
 
 @functools.cache
 def lit_room() -> CompiledScene:
-    """Returns a room whose light was baked, and whose prims of walls and floor have the words wall and floor in their
-    names."""
+    """Returns a room with a baked light map; the prim names of its walls and floor contain `Wall` and `Floor`."""
     scene = box_room((*_CHAIRS, *_LAMPS))
     count = len(scene.part_count)
     brightness = np.repeat(np.arange(count) >= count - len(_LAMPS), 12).astype(np.float64)

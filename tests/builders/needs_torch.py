@@ -1,4 +1,4 @@
-"""Skips tests that need PyTorch if it is not installed and names its extra."""
+"""Marker `needs_torch`, which skips a test if PyTorch or TensorBoard is not installed."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ import pytest
 _MISSING = [name for name in ("torch", "tensorboard") if importlib.util.find_spec(name) is None]
 
 needs_torch = pytest.mark.skipif(
-    bool(_MISSING), reason=f"no {' and no '.join(_MISSING)}: the extra `train` brings them; make test-train installs it"
+    bool(_MISSING), reason=f"{' and '.join(_MISSING)} not installed: install the extra `train` or run make test-train"
 )

@@ -15,7 +15,7 @@ _numbers = itertools.count(1)
 
 
 class ObjectServer:
-    """The server, and a client for direct access by tests."""
+    """A running S3 server, and a boto3 client with which tests access it directly."""
 
     def __init__(self, port: int) -> None:
         import boto3
@@ -47,7 +47,7 @@ class ObjectServer:
 
 @contextmanager
 def object_server() -> Iterator[ObjectServer]:
-    """Runs a server until the end of the block."""
+    """Runs a server until the end of the `with` block."""
     from moto.server import ThreadedMotoServer
 
     logging.getLogger("werkzeug").setLevel(logging.ERROR)

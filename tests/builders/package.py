@@ -1,4 +1,4 @@
-"""Builds a package of a scene for tests that transfer it and do not read its arrays."""
+"""Builds the package of a scene for tests that only transfer the package and do not read its arrays."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from schemas.scene import SceneInfo
 
 
 def package_without_arrays(info: SceneInfo, filler: bytes) -> bytes:
-    """Returns a package with the metadata of a scene, which workers read to find its textures, and other bytes."""
+    """Returns a package of filler bytes and the metadata of a scene, which workers read to find its textures."""
     buffer = io.BytesIO()
     with ContainerWriter(buffer) as package:
         package.add("scene.json", info.model_dump_json().encode())

@@ -19,7 +19,7 @@ _LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
 
 
 def blocks(page: Path, kind: str = "") -> list[str]:
-    """Returns the fenced blocks of one language; `""` are those without a language, which hold commands."""
+    """Returns the fenced blocks of one language; `""` selects the blocks without a language, which contain commands."""
     return [text for found, text in _BLOCK.findall(page.read_text(encoding="utf-8")) if found == kind]
 
 
@@ -29,7 +29,7 @@ def prose(page: Path) -> str:
 
 
 def links_of(page: Path) -> list[str]:
-    """Returns the destinations of all links and pictures, without `http` ones."""
+    """Returns the destinations of all links and pictures, except web and mail addresses."""
     found = _LINK.findall(re.sub(r"`[^`\n]*`", "", prose(page)))
     return [link for link in found if not link.startswith(("http://", "https://", "mailto:"))]
 
@@ -54,7 +54,7 @@ def factory_lines(page: Path) -> Iterator[list[str]]:
 
 
 def make_lines(page: Path) -> set[str]:
-    """Returns the targets of `make` that a page names in code."""
+    """Returns the targets of all `make` commands in the code blocks and inline code of a page."""
     code = "\n".join([*_lines(page), *re.findall(r"`([^`\n]*)`", prose(page))])
     return set(re.findall(r"^make ([a-z][a-z-]*)", code, re.MULTILINE))
 

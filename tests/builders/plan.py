@@ -8,7 +8,7 @@ from tests.builders.bundle import short_task
 
 
 def small_plan(episodes: int = 3) -> Plan:
-    """Returns a plan of near training episodes in the office, as the smallest bundles fulfil it."""
+    """Returns a plan of near training episodes in the office; the smallest bundles are valid results of its jobs."""
     return Plan(
         name="test",
         scenes=(ScenePlan(name="office", episodes=episodes),),

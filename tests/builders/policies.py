@@ -26,7 +26,7 @@ class Raises(_Quiet):
 
 
 class Scans(_Quiet):
-    """Does not move; needs a lidar, and checks that it gets the sensors of the rig only."""
+    """Does not move; requests a lidar of the rig, and checks that it gets its ranges but no recorded images."""
 
     needs = ("scan/ranges",)
 

@@ -1,4 +1,4 @@
-"""Reserves loopback addresses of servers that tests start again at the same address. Opens no server."""
+"""Reserves loopback addresses for servers that tests restart at the same address. Starts no server."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 _LOWEST_OUTGOING = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
 _PORTS = itertools.cycle(range(max(_LOWEST_OUTGOING, 20_000) - 2 - os.getpid() % 8000, 10_000, -1))
-"""Ports below the range of outgoing connections, so that none takes the port of a server during its restart."""
+"""Ports below the range of outgoing connections, so that no connection takes the port of a server that restarts."""
 _RESERVED = deque[int]()
 _MOST_RESERVED = 256
 
@@ -23,7 +23,8 @@ def free_endpoint() -> str:
 def free_port() -> int:
     """Returns an unused port of 127.0.0.1 that no other test process gets from this function.
 
-    The reservation is a socket in the abstract namespace: it ends with this process, or after 256 further ports.
+    The reservation is a socket in the abstract namespace. It ends when this process ends, or after this process has
+    reserved 256 more ports.
     """
     for port in _PORTS:
         with socket.socket() as probe:

@@ -20,7 +20,7 @@ _USER = "factory"
 
 
 def why_no_postgres() -> str:
-    """Returns why no server is available; empty if one is."""
+    """Returns why no PostgreSQL server can be started; empty if one can be started."""
     try:
         import psycopg  # noqa: F401
     except ImportError:
@@ -55,7 +55,7 @@ class Postgres:
 
 @contextmanager
 def postgres() -> Iterator[Postgres]:
-    """Starts a server for the length of the block."""
+    """Runs a server until the end of the `with` block."""
     folder = Path(tempfile.mkdtemp(prefix="minivla-postgres-"))
     user = _other_user() if os.geteuid() == 0 else None
     as_user = {} if user is None else {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}

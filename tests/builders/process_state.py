@@ -18,7 +18,7 @@ from tests.builders.fork_helper import NAME as FORK_HELPER
 
 LIMITS = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_AS, resource.RLIMIT_CORE)
 RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
-"""Limit that a coordinator raises to the hard limit; it is restored like the others, and its change is not an error."""
+"""Limit that a coordinator raises to the hard limit. It is restored like the others, but a change fails no test."""
 OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Variables that pytest itself changes between the phases of a test."""
 
@@ -70,13 +70,13 @@ class ProcessState:
 
 @contextmanager
 def unchanged_process() -> Iterator[None]:
-    """Restores the process at the end.
+    """Restores the state of the process at the end of the `with` block.
 
-    structlog and the variables are restored silently: a command called in this process sets them, as does the import of
-    some libraries (gymnasium).
+    The configuration of structlog and the environment variables are restored without an error, because commands called
+    in this process and the import of some libraries (gymnasium) change them.
 
     Raises:
-        AssertionError: something else was left changed; it is restored as well.
+        AssertionError: the test has changed other state, which is restored as well.
     """
     before = ProcessState.now()
     try:
@@ -92,7 +92,7 @@ def unchanged_process() -> Iterator[None]:
 def _restore_folder(folder: Path) -> Iterator[str]:
     try:
         present = Path.cwd()
-    except FileNotFoundError:  # removed
+    except FileNotFoundError:  # the working directory was deleted
         present = None
     if present != folder:
         os.chdir(folder)
@@ -113,9 +113,10 @@ def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
 
 
 def children_of(pid: int) -> set[int]:
-    """Returns the child processes of a process without its fork helper.
+    """Returns the child processes of a process, except its fork helper.
 
-    The helper is the oldest child with the helper's name. Another child has this name while it forks its own helper.
+    The helper is the oldest child with the helper's name. Another child has this name for a moment, while it forks a
+    helper for itself.
     """
     found, helpers = set(), []
     for status in Path("/proc").glob("[0-9]*/stat"):

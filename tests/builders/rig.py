@@ -56,7 +56,7 @@ FORMATS: dict[str, dict[str, Any]] = {
 
 
 def export_rig(root: Path, out: Path, name: str, rig: Rig | str | None = RIG, **options: Any) -> Path:
-    """Exports the episode ID with a rig; returns the folder."""
+    """Exports the episode `ID` with a rig; returns the folder of the export."""
     chosen = find_exporter(name).options.model_validate(options)
     assert run_export(ExportOrder(root, out, name, chosen, episodes=(ID,), rig=rig)).complete
     return out
@@ -95,4 +95,4 @@ def assert_depth_agrees(camera: dict[str, Any], base: np.ndarray, depth: np.ndar
     found = depth[rows[inside], columns[inside]]
     assert inside.sum() > 30
     assert np.median(np.abs(found - expected) / expected) < 0.01
-    assert (np.abs(found - expected) < 0.1 * expected).mean() > 0.9  # others are beside an edge
+    assert (np.abs(found - expected) < 0.1 * expected).mean() > 0.9  # the other points are next to an edge

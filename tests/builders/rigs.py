@@ -44,7 +44,7 @@ name = "wheels"
 model = "odometry"
 noise = {}
 """
-"""File of a rig with a sensor of each kind; its drives take seconds to render."""
+"""TOML file of a rig with one sensor of each kind; a drive can be rendered with it in seconds."""
 
 
 def write_rig(folder: Path) -> Path:
@@ -55,7 +55,7 @@ def write_rig(folder: Path) -> Path:
 
 
 def small_rig(*, has_noise: bool = True) -> Rig:
-    """Returns the rig without optical flow, so that it can be measured during a drive."""
+    """Returns the rig without optical flow, which cannot be measured during a drive."""
     data = tomllib.loads(SMALL_RIG)
     data["sensors"][0]["outputs"].remove("flow")
     for sensor in data["sensors"]:

@@ -1,7 +1,7 @@
-"""Coordinator of a minimal run as a process for kill tests.
+"""Runs the coordinator of a minimal run as a process, for kill tests.
 
-`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [RECORD [STORE]]]]`. Episodes of states are packed by ranges of
-`SHARD_EPISODES`.
+Arguments: `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [RECORD [STORE]]]]`. If RECORD is `states`, each
+range of `SHARD_EPISODES` episodes is packed.
 """
 
 from __future__ import annotations

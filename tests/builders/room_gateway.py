@@ -1,4 +1,4 @@
-"""Gateway of a minimal run as a process for kill tests: `ROOT NAME CORE_ENDPOINT ENDPOINT`."""
+"""Runs a gateway of a minimal run as a process, for kill tests. Arguments: `ROOT NAME CORE_ENDPOINT ENDPOINT`."""
 
 from __future__ import annotations
 

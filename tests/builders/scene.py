@@ -19,7 +19,7 @@ from schemas.terms import TIER_RANGE_M, Tier
 Vector3 = tuple[float, float, float]
 
 BODY_RADIUS_M = 0.4
-"""Clearance of a cell that counts as reachable here, metres."""
+"""A floor cell counts as reachable if its distance to all obstacles is larger than this, metres."""
 _CELL_M = 0.05
 _BAND_M = (0.05, 1.0)  # heights above the floor that block the robot
 _TALL_M = 0.6  # objects above this height block sight
@@ -28,7 +28,7 @@ _SUCCESS_M = 1.0
 
 @dataclass(frozen=True)
 class Box:
-    """A box along the world axes, one instance and one part of the scene."""
+    """A box along the world axes; it is one instance and one part of the scene."""
 
     low: Vector3
     """Lower corner, metres."""
@@ -37,11 +37,11 @@ class Box:
     colour: tuple[int, int, int] = (160, 160, 160)
     """sRGB."""
     category: str | None = None
-    """Makes the box a target when given."""
+    """Category of the target; `None` if the box is not a target."""
     solid: bool = True
     """Whether the box is part of the collider; floors are not."""
     texture: int = -1
-    """Layer in the textures given to `build_scene`, repeating every metre; -1 is plain."""
+    """Index in the textures given to `build_scene`; the texture repeats every metre. -1 for no texture."""
 
 
 def room_walls(
@@ -80,7 +80,7 @@ def build_scene(
     Args:
         boxes: all boxes, floor slab included.
         name: name of the scene.
-        textures: (L, 512, 512, 3) sRGB layers the boxes may use.
+        textures: (L, 512, 512, 3) sRGB textures that the boxes can use.
         floor_height_m: height of the physics floor; the visible floor is one of the boxes.
     """
     grid = _Grid.around(boxes, floor_height_m)
@@ -122,7 +122,7 @@ def _triangles(box: Box) -> NDArray[np.float64]:
 
 
 def _planar_uvs(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lays the texture on each face in metres, upright on walls."""
+    """Returns texture coordinates in metres for each face; the texture is upright on walls."""
     flat = np.repeat(np.ptp(corners.reshape(6, 6, 3), axis=1).argmin(axis=1), 6)
     across = np.where(flat == 0, corners[:, 1], corners[:, 0])
     return np.column_stack((across, np.where(flat == 2, corners[:, 1], corners[:, 2])))
@@ -162,7 +162,7 @@ class _Grid:
         return on_floor
 
     def spawns(self) -> NDArray[np.float32]:
-        """Every reachable point of a half-metre lattice."""
+        """Returns the points of a half-metre grid that are reachable."""
         rows, columns = self.reachable.shape
         lattice = np.array([(x, y) for y in range(5, rows, 10) for x in range(5, columns, 10)], np.float64)
         points = np.array(self.origin) + (lattice.reshape(-1, 2) + 0.5) * _CELL_M
@@ -203,7 +203,7 @@ def _target(index: int, box: Box, grid: _Grid, spawns: NDArray[np.float32]) -> t
 
 
 def _are_straight_free(grid: _Grid, spawns: NDArray[np.float32], centre: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Returns for each of (N, 2) starts whether the straight way to the success radius of a target is on the floor."""
+    """Returns for each of (N, 2) starts whether the straight path to the success radius of a target is reachable."""
     gaps = centre - spawns
     distances = np.linalg.norm(gaps, axis=1)[:, None]
     steps = np.arange(0.0, distances.max(initial=0.0), _CELL_M)

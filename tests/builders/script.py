@@ -1,4 +1,4 @@
-"""Runs the text of a script in a new process as `python -c` does, but forked, see `tests.builders.fork_helper`."""
+"""Runs a script given as text, like `python -c`, but as a module that `tests.builders.fork_helper` can fork."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shares a folder between the processes of a test session, with data that is built once."""
+"""Gives the processes of a test session a common folder with data that is built once."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def session_folder(own: Path) -> Path:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Holds the lock of a file; the lock of a process that was killed is free."""
+    """Holds the lock of a file; if a process is killed, the kernel releases its lock."""
     with path.open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 def build_once(folder: Path, build: Callable[[Path], object]) -> Path:
-    """Builds a folder in the first process that asks; the others wait for it. Tests only read it.
+    """Builds a folder in the first process that calls this; the others wait for it. Tests must only read the folder.
 
     Args:
         folder: target folder; leftovers of a failed build are removed.

@@ -6,10 +6,10 @@ from coordinator.validation.validator import Validator
 
 
 class SharedValidator:
-    """One sandboxed child for all tests, because starting one takes longer than most tests."""
+    """Validator whose sandboxed child is used by all tests, because starting a child takes longer than most tests."""
 
     def __init__(self, validator: Validator) -> None:
         self.check, self.check_all = validator.check, validator.check_all
 
     def close(self) -> None:
-        """Keeps the shared child open."""
+        """Does nothing, so that the shared child keeps running."""

@@ -1,6 +1,6 @@
 """A simulation process without physics: returns the smallest valid bundle of each job, or a failure.
 
-Outcome and content are functions of the job, like those of the real simulation; the duration is random.
+As in the real simulation, outcome and content depend only on the job. The duration is random.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _serve_all() -> None:
         _tell(SimulationReport(kind=SimulationReportKind.READY, renderer="synthetic"))
         for line in os.fdopen(0, "rb", closefd=False):
             threading.Thread(target=_serve, args=(SimulationOrder.model_validate_json(line),)).start()
-    finally:  # also after the supervisor was killed
+    finally:  # stdin also ends when the supervisor is killed
         os._exit(0)
 
 

@@ -11,5 +11,5 @@ from tests.builders.scene import Box, build_scene
 
 
 def box_triangles(boxes: Sequence[Box]) -> NDArray[np.float64]:
-    """Returns (12 N, 3, 3) the triangles of N boxes, counter-clockwise from outside, metres."""
+    """Returns the (12 N, 3, 3) triangles of N boxes, counter-clockwise seen from outside, metres."""
     return build_scene(boxes).positions.reshape(-1, 3, 3).astype(np.float64)

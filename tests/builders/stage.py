@@ -1,6 +1,6 @@
-"""Writes small USD stages as text, in any unit and with any axis up, for tests of the importer.
+"""Writes small USD stages as text, in any unit and with y or z up, for tests of the importer.
 
-All values are in world metres, z up. Uses the standard library only.
+All arguments are in world metres with z up. Uses the standard library only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class StageText:
         return f"({x:.9g}, {y:.9g}, {z:.9g})"
 
     def box(self, name: str, low: Vector3, high: Vector3, colour: Vector3 = (0.5, 0.5, 0.5), more: str = "") -> str:
-        """A Cube gprim that spans `low` to `high`."""
+        """Returns a Cube gprim that extends from `low` to `high`."""
         middle = tuple((a + b) / 2 for a, b in zip(low, high, strict=True))
         size = tuple(b - a for a, b in zip(low, high, strict=True))
         return f"""
@@ -39,7 +39,7 @@ class StageText:
 """
 
     def group(self, name: str, body: str, at: Vector3 | None = None, head: str = "", kind: str = "Xform") -> str:
-        """An Xform, moved to `at`, with metadata `head`."""
+        """Returns an Xform at `at` with the metadata `head` and the child prims `body`."""
         place = ""
         if at is not None:
             place = f"double3 xformOp:translate = {self.vector(at)}\n"
@@ -47,7 +47,7 @@ class StageText:
         return f'\ndef {kind} "{name}" ({head}) {{\n{place}\n{body}\n}}\n'
 
     def write(self, path: Path, body: str, units: str | None = None) -> Path:
-        """Writes a stage whose default prim `World` holds `body`."""
+        """Writes a stage whose default prim `World` contains `body`."""
         metres = f"metersPerUnit = {self.metres_per_unit}" if units is None else units
         text = f'#usda 1.0\n(\ndefaultPrim = "World"\n{metres}\nupAxis = "{self.up}"\n)\n'
         path.write_text(text + self.group("World", body), encoding="utf-8")
@@ -55,7 +55,7 @@ class StageText:
 
 
 def room_body(text: StageText, things: str = "") -> str:
-    """Floor and walls of a room from (-4, -3) to (4, 3), a red chair at (2, 1), and the prims of `things`."""
+    """Returns floor and walls of a room from (-4, -3) to (4, 3), a red chair at (2, 1), and the prims `things`."""
     chair = text.group(
         "SM_Chair_01",
         text.box("Seat", (1.8, 0.8, 0.3), (2.2, 1.2, 0.45), (0.6, 0.01, 0.01))

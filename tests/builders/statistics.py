@@ -1,4 +1,4 @@
-"""Builds rows of a dataset for statistics from the smallest episode. Writes no file."""
+"""Builds dataset rows for tests of statistics from the row of the smallest episode. Writes no file."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def two_scenes(episodes: int = 4) -> Plan:
 
 
 def episode_row(index: int = 1, **changes: Any) -> EpisodeSummary:
-    """Returns the row of an episode: near, training, a chair of the office, unless changed."""
+    """Returns the row of a near training episode with a chair in the office; `changes` replace fields."""
     return _smallest_row().model_copy(update={"index": index, "episode_id": episode_id(index), **changes})
 
 
 def rows_of(
     episodes: list[EpisodeSummary], failures: list[FailedAttempt] | None = None, plan: Plan | None = None
 ) -> Rows:
-    """Returns rows as read from a dataset of a plan."""
+    """Returns the rows as a reader of the dataset would return them."""
     plan = plan or two_scenes()
     meta = DatasetMeta(
         run=plan.run,

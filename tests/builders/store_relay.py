@@ -1,4 +1,4 @@
-"""Relay in front of an S3 server that fails on demand: refuses requests, cuts uploads, loses answers, drops conditions.
+"""Relay in front of an S3 server that refuses requests, cuts uploads, loses answers or drops conditions on demand.
 
 Reports the stages of each request to a test, so that the test can end the sender at any stage.
 """
@@ -37,15 +37,15 @@ class StoreRelay:
         self.is_denying = False
         """Answers every request with 403."""
         self.denial = "AccessDenied"
-        """Error code of these answers."""
+        """Error code of the 403 answers."""
         self.is_cutting = False
-        """Closes the connection in the middle of every upload and forwards nothing of it."""
+        """Closes the connection in the middle of every large upload and forwards no part of the upload."""
         self.cuts = 0
         """Number of interrupted uploads."""
         self.answers_to_lose = 0
-        """Number of uploads that are executed and whose answer is dropped."""
+        """Number of the next uploads that are executed but whose answer is dropped."""
         self.ignores_conditions = False
-        """Forwards writes without their conditions."""
+        """Forwards requests without their `If-` headers."""
         self.watch: Callable[[Moment, str, str], bool] = lambda _moment, _command, _path: False
         """Called at each moment of each request, with its method and path, in the relaying thread; returns whether the
         sender has disconnected, so that the rest of the request is not relayed."""

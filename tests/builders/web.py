@@ -56,7 +56,7 @@ class WebClient:
         return reply.headers["set-cookie"].partition(";")[0]
 
     def post(self, path: str, page: str, **fields: str) -> WebReply:
-        """Logs in, loads the page of a form and sends the form with its key."""
+        """Logs in, reads the key of a form from its page, and sends the form to `path` with this key."""
         cookie = self.cookie()
         key = re.search(r'name="key" value="(\w+)"', self.ask(page, Cookie=cookie).text)
         assert key is not None

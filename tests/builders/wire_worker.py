@@ -1,4 +1,4 @@
-"""A worker that implements only the protocol: claims jobs, spools given bundles, serves chunks. Simulates nothing."""
+"""A worker for tests of the protocol: claims jobs, spools given bundles and serves chunks. Simulates nothing."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ M = TypeVar("M", bound=Model)
 
 
 def bundle_for(job: Job) -> bytes:
-    """The smallest valid bundle of a job."""
+    """Returns the smallest valid bundle of a job."""
     return parts_for(job).write()
 
 
 def until(condition: Callable[[], bool], within_s: float = 120.0) -> None:
-    """Waits for an event in another thread; the limit only ends a hang."""
+    """Waits until a condition that another thread changes is true; the time limit only guards against a hang."""
     end = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < end, "timed out waiting"
@@ -70,7 +70,7 @@ class WireWorker(Closing):
         self.served: list[int] = []
         """Requested offsets."""
         self.served_together: list[int] = []
-        """Number of ranges in each request."""
+        """Number of ranges in each request for chunks."""
         self.is_frozen = False
         self.knows_router = True
         self._session = zenoh.open(client_config(endpoints, 2.0, tls))
@@ -79,12 +79,12 @@ class WireWorker(Closing):
 
     @property
     def via(self) -> str | None:
-        """Id of the connected router."""
+        """ID of the connected router."""
         routers = self._session.info.routers_zid() if self.knows_router else []
         return str(routers[0]) if routers else None
 
     def ask(self, verb: Verb | str, message: Model | bytes, answer: type[M]) -> M | Refusal | None:
-        """Returns the reply; `None` when the outcome is unknown."""
+        """Sends a request; returns the reply, or `None` if no valid reply came, so that the outcome is unknown."""
         payload = message if isinstance(message, bytes) else message.model_dump_json()
         key = verb_key(self.run, self.host, verb)  # type: ignore[arg-type]
         replies = self._session.get(
@@ -111,7 +111,7 @@ class WireWorker(Closing):
         return reply
 
     def job(self) -> tuple[Job, Lease]:
-        """Claims until a job is available."""
+        """Repeats claims until it gets a job; returns the job and its lease."""
         replies: list[ClaimReply] = []
 
         def has_one() -> bool:
@@ -125,7 +125,7 @@ class WireWorker(Closing):
         return job, lease
 
     def deliver(self, lease: Lease, bundle: bytes, sha256: str | None = None, *, is_validated: bool = False) -> bool:
-        """Spools a bundle and announces it."""
+        """Spools a bundle and announces it; returns whether the coordinator accepts the announcement."""
         digest = sha256 or hashlib.sha256(bundle).hexdigest()
         size, via = len(bundle), self.via
         done = Done(sid=self.sid, lease=lease, sha256=digest, size=size, via=via, is_validated=is_validated)
@@ -144,7 +144,7 @@ class WireWorker(Closing):
         return isinstance(reply, Ack) and reply.accepted
 
     def beat(self, live: Sequence[Lease] = ()) -> BeatReply:
-        """Sends one heartbeat and drops the bundles named in the reply."""
+        """Sends one heartbeat and removes the bundles named in the reply from the spool."""
         beat = Beat(
             sid=self.sid,
             live=tuple(LeaseProgress(lease=lease, step=5) for lease in live),

@@ -40,7 +40,7 @@ def settings_for(endpoint: str, folder: Path, **changes: Any) -> WorkerSettings:
 
 
 class WorkerThread:
-    """A worker in this process; at the end of the block it is stopped and its exception is raised."""
+    """A worker in a thread of this process. The end of the `with` block stops it; `join` raises its exception."""
 
     def __init__(self, settings: WorkerSettings) -> None:
         self.stop, self.at_once = threading.Event(), threading.Event()
@@ -50,7 +50,7 @@ class WorkerThread:
         self._thread = threading.Thread(target=self._run)
 
     def join(self) -> int:
-        """Waits for the end and returns the exit status, or raises its exception."""
+        """Waits for the end of the worker and returns its exit status, or raises its exception."""
         self._thread.join(60)
         assert not self._thread.is_alive(), "the worker does not end"
         if self.error is not None:
@@ -78,7 +78,7 @@ class WorkerThread:
 
 @contextmanager
 def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]]:
-    """Starts a worker in a separate process, which is killed at the end of the block."""
+    """Starts a worker in a separate process, which is killed at the end of the `with` block."""
     arguments = (settings.connect[0], str(settings.spool_dir.parent), str(settings.cores), *settings.command)
     process = subprocess.Popen(python_module("tests.builders.worker", *arguments))
     try:
@@ -89,7 +89,7 @@ def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]
 
 
 def main() -> int:
-    """Runs a worker: `[--host HOST] ENDPOINT FOLDER CORES SIMULATION...`."""
+    """Runs a worker. Arguments: `[--host HOST] ENDPOINT FOLDER CORES SIMULATION...`."""
     words = sys.argv[1:]
     named = {"host": words[1]} if words[0] == "--host" else {}
     endpoint, folder, cores, *command = words[2 * len(named) :]

@@ -13,11 +13,11 @@ _LOG, _SHARED = "ledger.db-wal", "ledger.db-shm"
 _PAGE = 4096
 
 Accident = Callable[[Path, Sequence[Path], random.Random], str]
-"""(dataset, older copies of its ledger, chance) -> description of the damage."""
+"""(dataset, older copies of its ledger, random generator) -> description of the damage."""
 
 
 def copy_ledger(out: Path, folder: Path) -> Path:
-    """Copies a ledger with the backup function of SQLite, write-ahead log included."""
+    """Copies a ledger, write-ahead log included, with the backup function of SQLite."""
     folder.mkdir(parents=True)
     with (
         closing(sqlite3.connect(f"file:{out / 'ledger.db'}?mode=ro", uri=True)) as source,

@@ -1,4 +1,4 @@
-"""Builds the bundles of the light simulations in one process. A bundle is a function of its order."""
+"""Builds the bundles for the processes of `light_simulation` in one process. A bundle depends only on its order."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignores errors: the simulation was killed during the request."""
+        """Ignores errors, because a simulation may be killed during its request."""
 
 
 class BundleMaker(Closing):
-    """Returns a bundle for each order, one line of JSON. Context manager."""
+    """Serves a Unix socket: a client sends an order as one line of JSON and gets its bundle. Context manager."""
 
     def __init__(self) -> None:
         self.name = f"minivla-{secrets.token_hex(8)}"

@@ -1,7 +1,7 @@
-"""`make chaos`: repeated runs with injected faults. Every dataset must equal that of an undisturbed one-worker run.
+"""`make chaos`: repeated runs with injected faults. Every dataset must equal that of a one-worker run without faults.
 
 Ends after a time limit or a number of faults with an effect and prints a table. Exits with 1 when an episode was lost,
-duplicated or torn. A round is determined by its seed: `--seed S --round K` repeats the K-th round of a campaign.
+duplicated or damaged. The seed of a round determines its faults: `--seed S --round K` repeats the K-th round.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ layouts = 4
 episodes = 8
 """
 _IN_LAYOUTS = 8
-"""Episodes in the layouts of the plan with the real simulation; killed simulations include their builders."""
+"""Number of episodes in generated layouts in the plan of the real simulation; building a layout can be killed too."""
 _PACKING_S = 0.3
-"""Interval of checkpoints, which pack, seconds."""
+"""Interval of the checkpoints, which pack episodes, seconds."""
 log = Console(stderr=True, highlight=False)
 
 
@@ -124,7 +124,7 @@ def main() -> int:
     """Parses the command line and runs a campaign."""
     find_system_tools()
     options = _parse_options()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all processes are ended
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # an exception, so that all processes are ended
     with tempfile.TemporaryDirectory(prefix="minivla-chaos-", dir=options.root) as folder:
         root = Path(folder)
         try:

@@ -28,20 +28,21 @@ from tests.chaos.fault_span import FaultSpan
 from tests.chaos.wire import Wires
 
 LARGE_CRASH_BUDGET = 20
-"""Budget of crashes of a job in a run in which the simulations of honest hosts are killed."""
+"""Permitted crashes of a job in a run in which the simulations of honest hosts are killed."""
 FAULTY_HOST = "faulty"
 """Name of the host that damages its bundles; honest hosts are named `host-NUMBER`."""
 _Process = subprocess.Popen[bytes] | Child
 LEASE_S = 2.0
 _EXITS_WITHIN_S = 30.0
-"""A generous limit: other tests check how quickly a worker exits, and the machine is overloaded here."""
+"""Time within which a worker must exit after SIGTERM, seconds; long, because the machine is overloaded in a campaign.
+Other tests check how quickly a worker exits."""
 _SERVES_WITHIN_S = 120.0
 _BASE_S, _EPISODE_S = 300.0, 10.0
 
 
 @dataclass(frozen=True)
 class ClusterCommands:
-    """Commands that start the processes of a run."""
+    """Commands that start the processes of a run, and the properties of the run."""
 
     episodes: int
     coordinator: Callable[[Path, str], list[str]]
@@ -51,18 +52,18 @@ class ClusterCommands:
     longest_s: float
     """Timeout of a round, seconds."""
     has_small_disk: bool
-    """Whether the coordinator works on a disk of a few megabytes."""
+    """Whether the coordinator can write to a disk of a few megabytes."""
     modules: tuple[str, ...] = ()
-    """Modules that the fork server imports in advance; without any, each process is started as a command."""
+    """Modules that the fork server imports in advance; if empty, no fork server is used."""
     gateways: int = 0
     gateway: Callable[[Path, str, str], list[str]] | None = None
-    """(directory, endpoint of the coordinator, endpoint) -> command line; the gateway has the name of the directory."""
+    """(directory, endpoint of the coordinator, endpoint) -> command line; the gateway is named like the directory."""
     faulty_worker: Callable[[Path, str, str, float], list[str]] | None = None
-    """Like `worker`; the last argument is the share of damaged attempts."""
+    """Like `worker`, with one more argument: the share of damaged attempts."""
     crashes: int = LARGE_CRASH_BUDGET
-    """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
+    """Permitted crashes of a job. With the product's default, the run must not kill simulations of honest hosts."""
     record: Recording = Recording.FRAMES
-    """Content that an episode stores; episodes of states are packed into shards."""
+    """What an episode stores; episodes of states are packed into shards."""
 
     @property
     def plan(self) -> Plan:
@@ -78,14 +79,14 @@ def fake_commands(
     crashes: int = LARGE_CRASH_BUDGET,
     record: Recording = Recording.FRAMES,
 ) -> ClusterCommands:
-    """Returns real processes around a simulation without physics, to test the protocol.
+    """Returns commands of real processes with a simulation without physics, to test the protocol.
 
     Args:
         episodes: number of episodes of the run.
         longest_s: longest duration of a simulation, seconds.
         gateways: number of gateways; with 0 the workers connect to the coordinator.
         checkpoint_s: interval between two writes of the tables, seconds.
-        crashes: budget of crashes of a job.
+        crashes: permitted crashes of a job.
         record: what an episode stores.
     """
 
@@ -115,7 +116,7 @@ def fake_commands(
 
 
 def real_commands(plan: Path, episodes: int) -> ClusterCommands:
-    """Returns the installed command line with physics and renderer."""
+    """Returns commands of the installed `factory` with physics and renderer."""
     return ClusterCommands(
         episodes,
         lambda root, endpoint: _module(
@@ -142,7 +143,7 @@ class ChaosCluster(Closing):
         commands: commands that start the processes.
         workers: number of hosts.
         disk: disk of the coordinator; `None` for an ordinary folder.
-        damage: share of attempts that an additional faulty host damages; 0 for no faulty host.
+        damage: share of its attempts that an additional faulty host damages; 0 for no faulty host.
     """
 
     def __init__(
@@ -160,9 +161,9 @@ class ChaosCluster(Closing):
         self._resumes_at: dict[_Process, float] = {}
         """Frozen process -> time at which it resumes."""
         self._back: dict[_Process, float] = {}
-        """Process that was ended -> time at which its replacement starts."""
+        """Process ended by a fault -> time at which its replacement starts."""
         self._unresponsive: dict[_Process, float] = {}
-        """Worker that got SIGTERM -> time at which it counts as unresponsive."""
+        """Worker that got SIGTERM -> time at which it counts as unresponsive if it has not exited."""
         self._stack = ExitStack()
         endpoints = self.endpoints
         self.wires = self._stack.enter_context(Wires([endpoints] * (workers + (damage > 0))))
@@ -205,7 +206,7 @@ class ChaosCluster(Closing):
         return sum(count for (count,) in self.query("select count(*) from jobs where state = 'leased'"))
 
     def outcomes(self) -> Counter[str]:
-        """Returns the attempts by outcome."""
+        """Returns the number of attempts by outcome."""
         return Counter(dict(self.query("select outcome, count(*) from attempts group by outcome")))
 
     def query(self, sql: str) -> list[tuple]:  # type: ignore[type-arg]
@@ -220,11 +221,11 @@ class ChaosCluster(Closing):
             return []
 
     def kill_worker(self, number: int) -> FaultSpan | None:
-        """Kills a working supervisor; `tend` starts a replacement."""
+        """Kills a supervisor that runs simulations; `tend` starts a replacement."""
         return self._kill(self.workers[number], 0.0) if self._is_at_work(number) else None
 
     def terminate_worker(self, number: int) -> FaultSpan | None:
-        """Sends SIGTERM to a working supervisor; `tend` starts a replacement after its exit."""
+        """Sends SIGTERM to a supervisor that runs simulations; `tend` starts a replacement after its exit."""
         worker = self.workers[number]
         if not self._is_at_work(number) or worker in self._unresponsive:
             return None
@@ -249,7 +250,7 @@ class ChaosCluster(Closing):
         return self._kill(self.coordinator, pause_s) if self._serves(self.coordinator, self._endpoint) else None
 
     def kill_packing_coordinator(self, wait_s: float, delay_s: float) -> FaultSpan | None:
-        """Kills the coordinator a delay after it begins a shard; returns `None` if it begins none within a time."""
+        """Kills the coordinator `delay_s` after it starts a shard; `None` if it starts no shard within `wait_s`."""
         deadline = time.monotonic() + wait_s
         while not any((self.out / ".staging").glob("shard*.part")):
             if time.monotonic() > deadline:
@@ -264,7 +265,7 @@ class ChaosCluster(Closing):
         return self._kill(victim, pause_s) if self._serves(victim, self._gateway_endpoints[number]) else None
 
     def freeze_worker(self, number: int, seconds: float) -> FaultSpan | None:
-        """Sends SIGSTOP to a working supervisor; `tend` resumes it after that time."""
+        """Sends SIGSTOP to a supervisor that runs simulations; `tend` resumes it after `seconds`."""
         return self._freeze(self.workers[number], seconds) if self._is_at_work(number) else None
 
     def freeze_coordinator(self, seconds: float) -> FaultSpan | None:
@@ -277,10 +278,10 @@ class ChaosCluster(Closing):
         return self._freeze(victim, seconds) if self._serves(victim, self._gateway_endpoints[number]) else None
 
     def tend(self, *, at_once: bool = False) -> None:
-        """Resumes frozen processes that are due and restarts ended ones, as an init system does.
+        """Resumes frozen processes and restarts ended processes after their pauses, as an init system does.
 
         Args:
-            at_once: resume and restart without waiting for the pause.
+            at_once: whether to resume and restart without waiting for the pauses.
         """
         self._resume_due(at_once=at_once)
         now = float("inf") if at_once else time.monotonic()
@@ -311,13 +312,13 @@ class ChaosCluster(Closing):
     _was_full = False
 
     def note_full_disk(self) -> None:
-        """Allows the coordinator to exit and to be restarted: a ledger cannot be opened on a full disk."""
+        """Accepts that the coordinator exits from now on, because a ledger cannot be opened on a full disk."""
         self._was_full = True
 
     def end(self) -> None:
         """Sends SIGTERM to all processes; a process that does not exit is a violation."""
         deadline = time.monotonic() + _SERVES_WITHIN_S
-        while not self._is_whole():  # a killed process cleans up when it starts again
+        while not self._is_whole():  # a process that was killed cleans up at its next start
             if time.monotonic() > deadline:
                 self.violations.append(f"not every process serves again within {_SERVES_WITHIN_S:g} s")
                 break
@@ -331,7 +332,7 @@ class ChaosCluster(Closing):
             self.violations.append(f"the coordinator ends with {self.coordinator.poll()}")
 
     def close(self) -> None:
-        """Closes what was opened."""
+        """Ends all processes and closes all resources."""
         self._stack.close()
 
     def _resume_due(self, *, at_once: bool = False) -> None:

@@ -18,7 +18,7 @@ from tests.chaos.fault_span import FaultSpan
 _SOURCE = Path(__file__).with_name("slow_fsync.c")
 _BLOCK = bytes(1 << 16)
 _FULL, _SLOW = "f", "s"
-"""Letters that the preloaded library writes."""
+"""Letters that the preloaded library writes for each effect of a full and of a slow disk."""
 _PROBE = """
 import os, sys, time
 with open(sys.argv[1], "wb") as file:
@@ -29,7 +29,7 @@ with open(sys.argv[1], "wb") as file:
 
 
 class Disk(Closing):
-    """A small tmpfs if root may mount one, otherwise a plain folder. Context manager.
+    """A small tmpfs if this process can mount one, otherwise a plain folder. Context manager.
 
     Args:
         folder: working directory.
@@ -50,16 +50,16 @@ class Disk(Closing):
 
     @property
     def preload(self) -> dict[str, str]:
-        """Environment variables that a process needs at its start to be affected."""
+        """Environment variable that loads the library into a process; must be set when the process starts."""
         return {} if "slow disk" in self.missing else {"LD_PRELOAD": str(self._shim)}
 
     @property
     def environment(self) -> dict[str, str]:
-        """Environment variables that it needs at its start or later."""
+        """Environment variable of the library; may be set when the process starts or later."""
         return {} if "slow disk" in self.missing else {"SLOW_DISK": str(self._speed)}
 
     def fill(self) -> FaultSpan | None:
-        """Fills the disk until `clear`; `None` when it is already full."""
+        """Fills the disk until `clear` is called; returns `None` if the disk is already full."""
         if _FULL in self._spans:
             return None
         with (self.path / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
@@ -68,14 +68,14 @@ class Disk(Closing):
         return self._begin(_FULL)
 
     def slow(self, milliseconds: int) -> FaultSpan | None:
-        """Delays every fsync until `clear`; `None` when it is already slow."""
+        """Delays every fsync until `clear` is called; returns `None` if the disk is already slow."""
         if _SLOW in self._spans:
             return None
         self._speed.write_text(str(milliseconds))
         return self._begin(_SLOW)
 
     def clear(self) -> None:
-        """Ends all faults and adds their recorded effects to the spans."""
+        """Ends both faults and adds their recorded effects to their spans."""
         (self.path / "filler").unlink(missing_ok=True)
         self._speed.unlink(missing_ok=True)
         effects = self._log.read_text() if self._log.exists() else ""

@@ -9,8 +9,13 @@ from dataclasses import dataclass
 class FaultSpan:
     """An injected fault from its start to its end.
 
-    A signal has an effect when its process receives it while it works; a cut wire when a connection breaks or is
-    refused, a mute wire when a reply is lost; a full disk when a write fails, a slow disk when an fsync waits.
+    Effects that are counted:
+
+    - signal: the process receives it while it works;
+    - cut wire: a connection breaks or is refused;
+    - muted wire: a reply is lost;
+    - full disk: a write fails;
+    - slow disk: an fsync is delayed.
     """
 
     effects: int = 0

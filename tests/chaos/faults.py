@@ -1,6 +1,6 @@
-"""Faults of a campaign, one table row each.
+"""Defines the faults of a campaign, each in one entry of `FAULTS`.
 
-A fault acts on a working process, or is not possible at that moment. Its span records later effects.
+A fault is injected only into a process that works at that moment. The returned span records the later effects.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ FAULTS: Mapping[str, Fault] = {
     "full disk": _fill_disk,
     "slow disk": _slow_disk,
 }
-"""Name -> fault in the n-th worker or gateway of a cluster, or in its coordinator. The function returns `None` when no
-process is in the required state."""
+"""Name -> function that injects the fault into the n-th worker or gateway of a cluster, or into its coordinator. The
+function returns `None` if the process is not in the required state."""
 _GATEWAYS = frozenset({"kill -9 gateway", "SIGSTOP gateway"})
 
 

@@ -1,6 +1,6 @@
-"""Simulation of a host with a bad disk, bad memory or a bad driver: `LONGEST_S BUNDLE_MAKER SHARE`.
+"""Simulation on a host with a bad disk, bad memory or a bad driver. Arguments: `LONGEST_S BUNDLE_MAKER SHARE`.
 
-Damages the share SHARE of its attempts; the others are those of `light_simulation`, which this script runs.
+Runs `light_simulation` and damages a share SHARE of its attempts.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import sys
 
 
 def main() -> None:
-    sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # runs isolated for a fast start
+    sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # `python -I` does not add this folder
     import light_simulation  # type: ignore[import-not-found]
 
     light_simulation.main(_damage)
 
 
 def _damage(bundle: bytes) -> tuple[bytes, str]:
-    """Returns the bytes on the disk and the reported SHA-256."""
+    """Returns the bytes to write to the disk and the SHA-256 to report, or ends the process."""
     if random.random() >= float(sys.argv[3]):
         return bundle, hashlib.sha256(bundle).hexdigest()
     kind = random.choice(("disk flips a bit", "disk cuts", "memory flips a bit", "crash"))

@@ -1,4 +1,4 @@
-"""Runs a module on a host of `tests.chaos.hosts`: NAMESPACE MODULE ARGUMENT..."""
+"""Runs a module on a host of `tests.chaos.hosts`. Arguments: `NAMESPACE MODULE ARGUMENT...`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def on_host(namespace: str, module: str, *words: object) -> tuple[str, ...]:
 
 
 def main() -> NoReturn:
-    """Enters the namespace before the module starts threads, which inherit it."""
+    """Enters the namespace and then runs the module, so that all threads of the module are in the namespace."""
     namespace, module, *words = sys.argv[1:]
     with open(f"/run/netns/{namespace}") as opened:
         if ctypes.CDLL(None, use_errno=True).setns(opened.fileno(), _CLONE_NEWNET) != 0:

@@ -1,8 +1,7 @@
 """Hostile peer among honest workers: sends invalid requests at a bounded rate and counts the refusals.
 
-It omits attacks that plain TCP permits by design: operator requests, gateway requests and false reports of
-collisions.
-TLS denies the requests to workers; a false report cannot be detected by the coordinator.
+It omits operator requests and gateway requests, which plain TCP permits by design and TLS denies to workers. It also
+omits false reports of collisions, which the coordinator cannot detect.
 """
 
 from __future__ import annotations
@@ -49,17 +48,17 @@ _BEAT_S = 0.5
 _HELD_S = 4.0
 """Time for which a job is held without progress, seconds."""
 _SLOW_S, _SLOW_BYTES = 0.3, 512
-"""Pause before each answer for a slow bundle, and the bytes of the answer."""
+"""Pause before each answer for a slow bundle, seconds, and size of the answer, bytes."""
 _PAUSES = "no job for a hostile peer that pauses or is barred"
 _RETRY_S = 0.5
-"""A host that neither pauses nor is barred gets a shorter retry delay."""
+"""Retry delay, seconds. A longer delay in a reply means that the host pauses or is barred."""
 
 Key = tuple[int, int]
 """Job and fence."""
 
 
 class _Session(WireWorker):
-    """A session that serves some bundles slowly."""
+    """A session that serves the bundles of `slow` slowly."""
 
     slow: frozenset[Key] = frozenset()
 
@@ -74,7 +73,7 @@ class _Session(WireWorker):
 
 
 class HostilePeer:
-    """Thread that attacks a run until `stop`. Context manager.
+    """Thread that attacks a run until `stop` is called. Context manager.
 
     Args:
         cluster: cluster of the attacked run.
@@ -151,7 +150,7 @@ class HostilePeer:
             if reply.retry_after_s > _RETRY_S:
                 self.acts.append((_PAUSES, FaultSpan(1)))
         elif self._rng.random() < 0.5:
-            _work_honestly(session, reply.job, reply.lease)  # this removes half of its strikes
+            _work_honestly(session, reply.job, reply.lease)  # a success halves the strikes of the host
         else:
             self._spoil(session, kind, reply.job, reply.lease)
 
@@ -204,12 +203,12 @@ class HostilePeer:
         return isinstance(session.ask(verb, message, Ack), Refusal)
 
     def _differ(self, session: _Session) -> bool:
-        """Sends a hello with another version."""
+        """Sends a hello with a version other than the coordinator's."""
         hello = Hello(sid=session.sid, host=HOSTILE_HOST, slots=4096, version="0.0.1")
         return isinstance(session.ask(Verb.HELLO, hello, HelloReply), Refusal)
 
     def _steal(self, session: _Session) -> bool:
-        """Uses a token of an honest host, read from the ledger."""
+        """Sends a request with a lease token of an honest host, read from the ledger."""
         held = self._cluster.query("select id, fence, token from jobs where sid like 'host-%' and token is not null")
         if not held:
             return False
@@ -274,7 +273,7 @@ _MESSAGES: Mapping[str, Callable[[HostilePeer, _Session], bool]] = {
     "hello of another version": HostilePeer._differ,
     "token of another host": HostilePeer._steal,
 }
-"""Kind -> attack; returns whether the coordinator refused it."""
+"""Kind -> function that attacks and returns whether the coordinator refused the request."""
 _BUNDLES: Mapping[str, Callable[[Job, random.Random], tuple[bytes, str, int]]] = {
     "7 bytes of a hostile peer": lambda _job, _rng: _announced(b"7 bytes"),
     "huge size announced by a hostile peer": lambda _job, _rng: (b"7 bytes", "0" * 64, MAX_BUNDLE_BYTES + 1),
@@ -282,6 +281,8 @@ _BUNDLES: Mapping[str, Callable[[Job, random.Random], tuple[bytes, str, int]]] =
     "forged bundle of a hostile peer": _forge,
     _SLOW: lambda _job, _rng: _announced(bytes(1 << 20)),
 }
-"""Kind -> (bundle, announced SHA-256, announced size); the effect is a refusal."""
+"""Kind -> function that returns bundle, announced SHA-256 and announced size. The attack has an effect if the
+coordinator refuses the bundle."""
 HOSTILE_KINDS = (*_MESSAGES, *_BUNDLES, *_HELD, _FORGOTTEN, _PAUSES)
-"""Kinds of attacks; the last one is the reply to a claim of a pausing or barred host."""
+"""All kinds that are counted. The last kind is not an attack: it counts claims refused because the host pauses or is
+barred."""

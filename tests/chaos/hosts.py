@@ -1,4 +1,4 @@
-"""Hosts as network namespaces with separate addresses, joined by a bridge. Requires root and `ip`."""
+"""Provides hosts as network namespaces with separate addresses, connected by a bridge. Requires root and `ip`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Hosts(Closing):
         self._ip("link", "set", self._cable(number), "up")
 
     def degrade(self, number: int, rate: str, latency: str) -> str:
-        """Limits the rate of a host's link and adds latency; returns why that is not possible, or an empty text."""
+        """Limits the rate of a host's link and adds latency; returns why this failed, or an empty text."""
         if shutil.which("tc") is None:
             return "needs tc (Debian: iproute2)"
         shape = ["tbf", "rate", rate, "burst", "16kbit", "latency", latency]

@@ -1,7 +1,8 @@
-"""`make ledger-accidents`: runs whose ledger is lost or damaged at random moments, after which the command is repeated.
+"""`make ledger-accidents`: loses or damages the ledger of runs at random moments and then repeats their command.
 
 No episode on disk may be simulated again or moved to quarantine; every dataset must equal that of an undisturbed run.
-Exits with 1 otherwise. A run is determined by its seed. The tally is stored, so that a stopped campaign can continue.
+Exits with 1 otherwise. The seed of a run determines the moments and the damage. With `--tally`, a stopped campaign can
+be continued.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def run_accidents(
 
     Args:
         commands: commands that start the processes.
-        root: working directory; removed without violations.
+        root: working directory; removed if there are no violations.
         kinds: kinds of damage, in order.
         seed: seed of the moments and of the damage.
         reference: expected digest of the dataset.
@@ -99,7 +100,7 @@ def run_accidents(
 
 
 def _wait(cluster: ChaosCluster, archived: int, stop: threading.Event) -> None:
-    """Waits until that many episodes are archived."""
+    """Waits until `archived` episodes are archived."""
     deadline = time.monotonic() + cluster.commands.longest_s
     while len(cluster.archived()) < archived:
         if time.monotonic() > deadline:
@@ -117,7 +118,7 @@ def _tend(cluster: ChaosCluster, stop: threading.Event) -> None:
 
 
 def _repeated_episodes(cluster: ChaosCluster, kept: set[int], since: float) -> list[str]:
-    """Returns a violation if episodes on disk were given to a worker again."""
+    """Returns a violation if workers have claimed jobs of episodes that were on disk."""
     claims = cluster.query(
         "select jobs.idx from events join jobs on jobs.id = events.job_id "
         f"where events.event = 'claimed' and events.sid != 'repair' and events.at > {since}"
@@ -133,9 +134,9 @@ def run_campaign(
 
     Args:
         commands: commands that start the processes.
-        root: where to work.
-        moments: total number of damages, including those of the stored tally.
-        per_run: damages per run.
+        root: working directory.
+        moments: total number of damaged ledgers, including the number in the stored tally.
+        per_run: how often the ledger is damaged in each run.
         seed: seed of run 0; run K uses `seed` + K.
         at_once: number of concurrent runs.
         kept: tally file to continue from; written after each run.
@@ -174,7 +175,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="Seed of run 0; run K uses SEED + K (default 1).")
     parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
     options = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all processes are ended
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # an exception, so that all processes are ended
     with tempfile.TemporaryDirectory(prefix="minivla-ledger-") as folder:
         root = Path(folder)
         commands = fake_commands(options.episodes, _LONGEST_S, checkpoint_s=1.0)

@@ -1,7 +1,7 @@
-"""Simulation without physics that uses only the standard library and starts fast: `LONGEST_S BUNDLE_MAKER`.
+"""Simulation without physics that starts fast, because it uses only the standard library.
 
-It runs for a random time, reports progress, fails where `tests.builders.small_simulation` fails, and fetches bundles
-from the `BundleMaker`.
+Arguments: `LONGEST_S BUNDLE_MAKER`. An attempt takes a random time, reports progress, and fetches its bundle from the
+`BundleMaker`. The same attempts fail as in `tests.builders.small_simulation`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def main(damage: Callable[[bytes], tuple[bytes, str]] | None = None) -> None:
     """Serves orders until stdin ends.
 
     Args:
-        damage: (bundle) -> the bytes written to the disk and the reported SHA-256; `None` for an intact host.
+        damage: (bundle) -> bytes to write to the disk and SHA-256 to report; `None` for a host without faults.
     """
     threading.Thread(target=_serve_all, args=(damage or _keep,), daemon=True).start()
     while True:
@@ -40,7 +40,7 @@ def _serve_all(damage: Callable[[bytes], tuple[bytes, str]]) -> None:
         _report(kind="ready", renderer="synthetic")
         for line in os.fdopen(0, "rb", closefd=False):
             threading.Thread(target=_serve, args=(line, damage)).start()
-    finally:  # also after the supervisor was killed
+    finally:  # stdin also ends when the supervisor is killed
         os._exit(0)
 
 
@@ -62,7 +62,7 @@ def _serve(line: bytes, damage: Callable[[bytes], tuple[bytes, str]]) -> None:
 
 
 def misses(index: int, attempt: int) -> bool:
-    """Returns whether an attempt at an episode fails: a function of both, equal on every host."""
+    """Returns whether an attempt at an episode fails; the result is the same on every host."""
     return hashlib.sha256(f"{index} {attempt}".encode()).digest()[0] % _MISS_EVERY == 0
 
 

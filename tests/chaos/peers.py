@@ -1,5 +1,4 @@
-"""One hostile peer and one faulty host that take part in a round with the honest hosts, and their observed
-effects."""
+"""Adds one hostile peer and one faulty host to the honest hosts of a round, and reads the effects from the ledger."""
 
 from __future__ import annotations
 
@@ -30,9 +29,9 @@ class Peers:
 
 
 def preload_strikes(cluster: ChaosCluster, rng: random.Random) -> bool:
-    """Gives one of the two hosts all strikes except the last one before it is barred.
+    """Gives the hostile peer or the faulty host seven strikes; the eighth strike bars it.
 
-    A round is too short for a host to get all eight strikes in it.
+    A round is too short for a host to get all eight strikes.
 
     Returns:
         Whether the ledger was updated; otherwise the caller retries.
@@ -53,7 +52,7 @@ def preload_strikes(cluster: ChaosCluster, rng: random.Random) -> bool:
 
 
 def effects_of_peers(cluster: ChaosCluster) -> list[tuple[str, FaultSpan]]:
-    """Returns the effects of the faulty host and the barred hosts from the ledger of an ended run."""
+    """Returns failed attempts of the faulty host, and barred hosts, from the ledger of an ended run."""
     failed = cluster.query(f"select outcome, count(*) from attempts where sid like '{FAULTY_HOST}.%' group by outcome")
     seen = [
         (_OUTCOMES[outcome], FaultSpan(1)) for outcome, count in failed if outcome in _OUTCOMES for _ in range(count)

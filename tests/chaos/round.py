@@ -24,7 +24,7 @@ from tests.chaos.verdict import digest_of, gather_problems, violations_of
 _DISK_MB = 64
 _START_DELAY_S = 2.0
 _SHORT_DISK_S = (0.3, 2.0)
-"""How long a disk stays full or slow, seconds."""
+"""Shortest and longest time for which a disk is full or slow, seconds."""
 _TICK_S = 0.05
 
 
@@ -47,7 +47,7 @@ class FaultLoad:
 
 
 def reference_digest(commands: ClusterCommands, root: Path) -> str:
-    """Returns the digest of the dataset that one undisturbed worker makes."""
+    """Returns the digest of the dataset that one worker generates without faults."""
     root.mkdir()
     with ChaosCluster(root, commands, 1) as cluster:
         deadline = time.monotonic() + commands.longest_s
@@ -73,7 +73,7 @@ def run_round(
 
     Args:
         commands: commands that start the processes.
-        root: working directory; removed without violations, otherwise kept with log and ledger as `evidence*`.
+        root: working directory; removed if there are no violations, otherwise kept with log and ledger as `evidence*`.
         load: faults to inject.
         seed: seed of the choice of faults; their timing depends on the machine.
         reference: expected digest of the dataset.

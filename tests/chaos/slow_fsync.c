@@ -1,6 +1,6 @@
-/* Preloaded library that simulates a slow disk: it delays every fsync by the milliseconds in the file named by SLOW_DISK,
-   and not at all without that file. It appends to the file with the suffix .effects: an s for each delayed fsync, an f
-   for each write that failed on a full disk. */
+/* Preloaded library that simulates a slow disk. The environment variable SLOW_DISK names a file with a number of
+   milliseconds; every fsync is delayed by that time. Without the file there is no delay. The library appends to the file
+   with the additional suffix .effects: an s for each delayed fsync, an f for each write that failed on a full disk. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>

@@ -1,4 +1,4 @@
-"""Counts of a campaign: added over rounds, stored in a file and printed as a table."""
+"""Counts of a campaign; adds them up over rounds, stores them in a file and prints them as a table."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Tally:
     missing: dict[str, str] = field(default_factory=dict)
     """Fault -> why this machine does not support it."""
     rounds: Counter[str] = field(default_factory=Counter)
-    """Topology -> rounds."""
+    """Topology -> number of rounds."""
     episodes: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     restarts: Counter[str] = field(default_factory=Counter)
@@ -53,7 +53,7 @@ class Tally:
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Self:
-        """Reads the values of `to_plain`, with former names of fields."""
+        """Reads the values of `to_plain`; also accepts the field names of older versions."""
         plain = {_FORMER_NAMES.get(name, name): value for name, value in plain.items()}
         empty = vars(cls())
         return cls(
@@ -68,7 +68,7 @@ class Tally:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Reads a file; an empty tally if it does not exist."""
+        """Reads a tally from a file; returns an empty tally if the file does not exist."""
         return cls.from_plain(json.loads(path.read_text())) if path.exists() else cls()
 
     def print(self, out: Console, kinds: Iterable[str]) -> None:

@@ -20,7 +20,7 @@ FAULTS = 16
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ChaosCluster]:
-    """Digest of the dataset of one undisturbed worker, and its cluster after the exit of all processes."""
+    """Dataset digest of a run with one worker and no faults, and the cluster of that run after its end."""
     root = tmp_path_factory.mktemp("reference")
     with ChaosCluster(root, fake_commands(EPISODES, 0.0), 1) as cluster:
         deadline = time.monotonic() + 240
@@ -61,7 +61,7 @@ def test_kills_while_packing_neither_lose_nor_duplicate_episodes(tmp_path):
 
 @pytest.mark.slow
 def test_a_hostile_peer_and_a_faulty_host_neither_change_nor_lose_episodes(tmp_path):
-    crashes = Budget().crashes  # as in a default plan
+    crashes = Budget().crashes  # the default of a plan
     reference = reference_digest(fake_commands(EPISODES, 0.0, crashes=crashes), tmp_path / "reference")
     load = FaultLoad(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
     tally = run_round(fake_commands(EPISODES, 1.0, crashes=crashes), tmp_path / "faults", load, 1, reference)
@@ -78,14 +78,14 @@ def test_workers_switch_gateways_after_a_kill_and_the_gathered_dataset_is_equal(
         while len(cluster.archived()) < EPISODES:
             assert time.monotonic() < deadline, cluster.log.read_text()[-4000:]
             done = len(cluster.archived())
-            if not is_killed and done >= 2:  # it stays down until the other one has taken over
+            if not is_killed and done >= 2:  # it stays down until half of the episodes are archived
                 is_killed = cluster.kill_gateway(0, float("inf")) is not None
             cluster.tend(at_once=is_killed and done > EPISODES // 2)
             time.sleep(0.05)
         assert is_killed
         cluster.end()
         assert cluster.violations == []
-        assert cluster.query("select count(*) from keepers where gateway = 'gw1'") > [(0,)]  # the remaining gateway
+        assert cluster.query("select count(*) from keepers where gateway = 'gw1'") > [(0,)]  # gw1 was not killed
         assert list(gather_problems(cluster)) == []
         assert list(violations_of(cluster)) == []
         assert digest_of(cluster) == reference[0]

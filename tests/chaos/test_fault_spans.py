@@ -82,7 +82,7 @@ def test_a_wire_is_cut_only_while_a_peer_is_connected():
         with near, far:
             span = echo.wires.cut(0, 0.0)
             assert span is not None
-            assert span.effects == 2  # both ends
+            assert span.effects == 2  # both ends of the relayed connection are closed
             with pytest.raises(ConnectionError):
                 near.recv(100)
 
@@ -96,7 +96,7 @@ def test_lost_answers_count_and_lost_keep_alives_do_not(answer: bytes, effects: 
             assert span is not None
             assert echo.wires.mute(0, 1.0) is None
             far.sendall(answer)
-            with pytest.raises(ConnectionError):  # reset when the wire is restored
+            with pytest.raises(ConnectionError):  # the connection is reset when the wire is restored
                 near.recv(100)
             assert span.effects == effects
 

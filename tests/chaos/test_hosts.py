@@ -1,4 +1,4 @@
-"""Hosts in separate network namespaces: one is disconnected and reconnected, one has a slow, lossy link."""
+"""Runs on hosts in separate network namespaces: a host is disconnected and reconnected, or has a slow, lossy link."""
 
 from __future__ import annotations
 
@@ -106,12 +106,12 @@ def test_workers_leave_a_disconnected_gateway_which_returns_with_its_episodes(tm
         busy = 1 if site.ask(f"{kept}'gw1'") else 2
         hosts.cut(busy)
         before = site.ask(f"{kept}'gw{busy}'")
-        site.wait(lambda: site.archived() >= min(EPISODES, before + 2))  # through the other gateway
+        site.wait(lambda: site.archived() >= min(EPISODES, before + 2))  # the other gateway delivers them
         hosts.heal(busy)
         site.wait(lambda: site.archived() == EPISODES)
         assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
         assert site.ask("select count(*) from keepers") == EPISODES
         assert not list((tmp_path / "out" / "episodes").iterdir())
-        # the disconnected gateway removes a file that it could not record in time when the core answers again
+        # when the coordinator answers again, the gateway removes a file that it could not report in time
         site.wait(lambda: site.files_at_gateways() == [f"ep_{index:06d}.zip" for index in range(1, EPISODES + 1)])
         assert all(process.poll() in {None, 0} for process in site.processes)

@@ -1,4 +1,4 @@
-"""Signals to single processes of a small cluster and the required reaction."""
+"""Sends signals to single processes of a small cluster and checks how the cluster reacts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damages the ledger of a small run once in each way; `make ledger-accidents` does it fifty times."""
+"""Damages the ledger of a small run once with each kind of damage; `make ledger-accidents` damages it fifty times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finds lost, duplicated, incomplete and stale data of an ended run. Repairs nothing."""
+"""Finds lost, duplicated, damaged and leftover data of an ended run. Repairs nothing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def digest_of(cluster: ChaosCluster) -> str:
 
 
 def gather_problems(cluster: ChaosCluster) -> Iterator[str]:
-    """Gathers the episodes of the gateways into the dataset; yields what could not be gathered."""
+    """Gathers the episodes of the gateways into the dataset; yields missing episodes and leftover part files."""
     if not cluster.gateways:
         return
     report = gather(_repair_input(cluster), cluster.stores, datetime.now(UTC), shard_episodes=SHARD_EPISODES)
@@ -38,7 +38,7 @@ def gather_problems(cluster: ChaosCluster) -> Iterator[str]:
 
 
 def violations_of(cluster: ChaosCluster) -> Iterator[str]:
-    """Yields lost, duplicated and incomplete data of an ended run."""
+    """Yields a text for each loss, duplicate, damaged episode and leftover of an ended run."""
     wanted = set(range(1, cluster.commands.episodes + 1))
     listed = list_episodes(cluster.out)
     files = listed.episodes

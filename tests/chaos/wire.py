@@ -14,9 +14,9 @@ from tests.chaos.fault_span import FaultSpan
 
 _BLOCK = 1 << 16
 _RESET = struct.pack("ii", 1, 0)
-"""Closing sends RST, not FIN."""
+"""Value of SO_LINGER with which closing a socket sends RST instead of FIN."""
 _KEEP_ALIVE_BYTES = 16
-"""Messages up to this size are keep-alives."""
+"""Data up to this size are taken to be keep-alives, which do not count as lost replies."""
 
 
 class _Wire:
@@ -45,7 +45,7 @@ class _Wire:
         self.drop_all()
 
     def drop_all(self) -> int:
-        """Resets every connection, as a NAT router that loses its table does; returns the number of closed ends."""
+        """Resets every connection, like a NAT router that has lost its table; returns the number of closed sockets."""
         writers = [writer for writer in self._open if not writer.is_closing()]
         for writer in writers:
             writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
@@ -105,7 +105,7 @@ class Wires(Closing):
         """Addresses of the relays of each worker."""
 
     def cut(self, number: int, seconds: float) -> FaultSpan | None:
-        """Resets the connections of a worker and refuses new ones for a time; `None` if it has none."""
+        """Resets the connections of a worker and refuses new ones for `seconds`; `None` if it has no connection."""
 
         async def act() -> FaultSpan | None:
             span = self._begin(number, seconds)
@@ -119,10 +119,10 @@ class Wires(Closing):
         return self._call(act())
 
     def mute(self, number: int, seconds: float) -> FaultSpan | None:
-        """Drops the replies to a worker for a time, then resets its connections, whose streams are incomplete.
+        """Drops the replies to a worker for `seconds`, then resets its connections, because their data are incomplete.
 
         Returns:
-            `None` if it has no connection or is already muted.
+            Span of the fault; `None` if the worker has no connection or is already muted.
         """
 
         async def act() -> FaultSpan | None:

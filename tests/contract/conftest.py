@@ -1,4 +1,4 @@
-"""Every renderer of the product, open, for the contracts of renderers."""
+"""Fixtures that open every renderer of this project, for the contract suites of renderers."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def one_thread(kind: RendererKind, apart: bool) -> Iterator[Renderer]:
 
 @pytest.fixture(scope="module", params=KINDS)
 def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    """Every renderer in turn, open, with the scenes of earlier tests; tests leave it open."""
+    """Each renderer in turn; it may still have scenes of earlier tests, and a test must not close it."""
     with one_thread(*request.param) as opened:
         yield opened
 
 
 @pytest.fixture(params=KINDS)
 def new_renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    """Every renderer in turn, open, without a scene."""
+    """Each renderer in turn, newly opened and without a scene."""
     with one_thread(*request.param) as opened:
         yield opened

@@ -31,7 +31,7 @@ archive = open_archive(Path(sys.argv[1]), ObjectPath.at(sys.argv[2]) if len(sys.
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of archive with direct access for tests."""
+    """A kind of archive, to whose files the tests have direct access."""
 
     home: Path
     store: ObjectPath | None
@@ -215,7 +215,7 @@ def test_scenes_share_their_textures_which_are_stored_once(kind: Kind, tmp_path:
         archive.add_scene(one.write(tmp_path / "one/home.scene.zip"), "home_00001", one.sha256, one.names)
         sent = other.write(tmp_path / "other/home.scene.zip")
         shared = next(texture for texture in other.textures if texture in one.textures)
-        (sent.parent / shared.file).unlink()  # the archive has it
+        (sent.parent / shared.file).unlink()  # the archive already has this texture
         archive.add_scene(sent, "home_00002", other.sha256, other.names)
         names = [f"{texture.sha256}.npy.zst" for texture in {*one.textures, *other.textures}]
         assert kind.names("scenes/textures") == sorted(names)

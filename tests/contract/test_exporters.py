@@ -131,7 +131,7 @@ run_export(order, lambda progress: os._exit(9) if progress.done else None)
 def test_full_disk_and_kill_leave_only_whole_files(
     dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
-    """A file size limit replaces a full disk: both raise an OSError during a write."""
+    """A file size limit simulates a full disk: both raise an OSError during a write."""
     out = tmp_path / "out"
     command = script(_HARD_TIMES, dataset, out, name)
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -166,7 +166,7 @@ def test_disk_without_room_keeps_only_whole_files(
 
 @contextlib.contextmanager
 def disk_of(path: Path, size_bytes: int) -> Iterator[Path]:
-    """Yields a separate disk of that many bytes, at least a few pages; requires root."""
+    """Mounts a disk of `size_bytes`, at least a few pages, and yields its path; requires root."""
     path.mkdir()
     size = max(size_bytes, 4 * 4096)
     command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "small", str(path)]
@@ -248,7 +248,7 @@ def test_a_dry_run_reports_sizes_and_writes_nothing(
     estimate = estimate_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
     size = sum(map(len, contents(reference[name]).values()))
-    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # it counts files that are written once for each episode
+    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # the estimate counts shared files for each episode
     assert estimate.episodes == EPISODES
     assert estimate.frames == read_manifest(reference[name]).frames  # type: ignore[union-attr]
     assert estimate.fits

@@ -44,7 +44,7 @@ def test_the_predicted_centroid_matches_the_mask(renderer: Renderer, name: str, 
     drawn = measure_mask(depth_and_ids.ids, depth_and_ids.depth, 1, min_pixels=1)
     pixels, column = MaskEstimate(scene, 1, CAMERA).evaluate(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
-    if drawn.pixels > 5000:  # not only a few pixels at the edge
+    if drawn.pixels > 5000:  # the target is not only a few pixels at the edge of the image
         assert column == pytest.approx((drawn.column - 320) / 320, abs=0.12)
 
 

@@ -42,7 +42,7 @@ def contents(archive: Archive) -> dict[int, bytes]:
 
 
 def require_sound(kind: Kind, episodes: dict[int, bytes] = EPISODES) -> None:
-    """Compares the stored episodes with the expected ones, by each way to find them."""
+    """Checks that both the listing and the lookup by number find exactly the expected episodes."""
     listed = list_episodes(kind.root)
     assert {number: path.read_bytes() for number, path in listed.episodes.items()} == episodes
     assert (listed.foreign, listed.damaged, listed.twice, listed.index_fault) == ([], {}, [], "")

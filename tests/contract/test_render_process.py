@@ -60,7 +60,7 @@ def test_frames_are_bit_identical_to_those_of_the_in_process_renderer(kind: Rend
     scenes = [box_room(), *(build_scene([box]) for box in boxes)]
     with open_renderer(kind) as here, open_renderer(kind, apart=True) as apart:
         assert apart.description == here.description
-        for scene in (*scenes, *scenes):  # more than the cache keeps
+        for scene in (*scenes, *scenes):  # more scenes than the cache keeps
             for renderer in (here, apart):
                 renderer.load(scene, CAMERA)
             for pose in POSES[:3]:
@@ -74,7 +74,7 @@ def test_frames_are_bit_identical_to_those_of_the_in_process_renderer(kind: Rend
 @pytest.mark.gl
 @pytest.mark.parametrize(("apart", "loaded"), [(True, False), (False, True)])
 def test_only_an_in_process_renderer_loads_the_graphics_driver(apart: bool, loaded: bool) -> None:
-    """Other libraries cannot bind to an unmapped library, and it cannot break in a fork."""
+    """A driver that this process has not loaded cannot conflict with other libraries and cannot break in a fork."""
     program = f"""
 from schemas.config import CameraConfig
 from tests.builders.scene import box_room

@@ -61,7 +61,7 @@ def mounted(camera: Camera, **changes: object) -> Camera:
 
 
 def rays_in_world(camera: Camera) -> tuple[Floats, Floats]:
-    """Returns the eye (3,) and the unit rays (H, W, 3) of a camera at POSE in the world; NaN without a ray."""
+    """Returns the eye (3,) and the unit rays (H, W, 3) of a camera at POSE in the world; NaN if a pixel has no ray."""
     optical = mounted_pose(POSE, camera.mount)
     return optical.eye, unproject(camera, pixel_centres(camera)) @ optical.rotation.T
 
@@ -86,7 +86,7 @@ def test_depth_is_the_distance_to_the_walls(renderer: Renderer, camera: Camera):
     share = unproject(camera, pixel_centres(camera))[..., 2] if camera.depth == "axial" else 1.0
     error = np.abs(image.depth - distance * share)[seen] / distance[seen]
     assert np.median(error) < 0.005
-    assert np.quantile(error, 0.99) < 0.1  # the nearest pixel of a face, at grazing angles
+    assert np.quantile(error, 0.99) < 0.1  # the nearest pixel of a face is used; matters at grazing angles
     assert (image.depth[~seen] == 0).all()
     assert (image.ids[~seen] == 0).all()
     assert (image.rgb[~seen] == 0).all()
@@ -173,7 +173,7 @@ def test_opencv_rectifies_our_fisheye_image_to_a_pinhole_image(gl: Renderer):
     )
     expected = gl.render_camera(straight, POSE).rgb
     inner = np.s_[20:-20, 20:-20]
-    soft = [cv2.GaussianBlur(_grey(image), (0, 0), 2) for image in (undistorted, expected)]  # of equal resolution
+    soft = [cv2.GaussianBlur(_grey(image), (0, 0), 2) for image in (undistorted, expected)]  # equally sharp
     shift, _ = cv2.phaseCorrelate(*(image[inner] for image in soft))
     assert shift == pytest.approx((0, 0), abs=0.1)
     assert np.abs(soft[0] - soft[1])[inner].mean() < 3
@@ -223,7 +223,7 @@ def test_faces_have_no_coarser_pixels_than_the_image(camera: Camera):
     plan = plan_faces(camera)
     rays = unproject(camera, pixel_centres(camera))
     middle = camera.height // 2, camera.width // 2
-    step = np.linalg.norm(rays[middle] - rays[middle[0], middle[1] + 1])  # radians in the middle of the image
+    step = np.linalg.norm(rays[middle] - rays[middle[0], middle[1] + 1])  # angle between pixels in the middle, rad
     assert all(min(face.view.focal_px) >= 0.99 / step for face in plan.faces)
 
 
@@ -237,4 +237,4 @@ def test_a_panorama_has_no_seam_between_its_faces(gl: Renderer):
     gl.load(build_scene(sides), CameraConfig())
     image = gl.render_camera(camera, POSE)
     assert (image.depth > 0).all()
-    assert (image.rgb == image.rgb[0, 0]).all()  # a room of one colour, to the last pixel at the edges of the faces
+    assert (image.rgb == image.rgb[0, 0]).all()  # the room has one colour: also at the edges of faces

@@ -15,7 +15,7 @@ from factory.scenes.author.placement import FloorPlan, PropPlacement, footprint
 from tests.builders.layouts import FAMILIES, Layouts, Solid, penetration, wall_boxes, world_points
 
 MOST_INTO_M = 0.05
-"""A worktop covers the foot of a window, and arm rests are under a desk."""
+"""Permitted overlap, metres: a worktop may cover the foot of a window, and arm rests may be under a desk."""
 NEAR_M, WALL_M = 0.03, 0.1
 DOORS = ("SM_EntryDoor", "SM_RollerGate")
 TALL_M, LARGE_M = 1.25, 0.8
@@ -28,12 +28,12 @@ def solids(placement: PropPlacement) -> list[Solid]:
 
 
 def is_on_wall(placement: PropPlacement) -> bool:
-    """Returns whether a prop hangs on a wall: it starts above the floor, and its position is not on furniture."""
+    """Returns whether a prop hangs on a wall: its lowest point is above the floor, and it is not on furniture."""
     return bool(placement.model.low[2] > 0.1) and placement.z < 0.3
 
 
 def intersections(plan: FloorPlan) -> Iterator[str]:
-    """Yields the pairs of props that intersect; things on furniture are compared with each other only."""
+    """Yields the pairs of props that intersect; props on furniture are compared with each other only."""
     for one, two in combinations(plan.placements, 2):
         if (one.z > 0.3) == (two.z > 0.3) and one.floor_box.overlaps(two.floor_box):
             depth = max(penetration(a, b) for a in solids(one) for b in solids(two))
@@ -70,7 +70,7 @@ def test_wall_objects_are_attached_to_a_wall(name: str, layouts: Layouts) -> Non
         walls = wall_boxes(plan)
         for thing in filter(is_on_wall, plan.placements):
             if thing.model.name.startswith("SM_Pennants"):
-                continue  # below the ceiling
+                continue  # pennants hang below the ceiling and not on a wall
             back = float(thing.model.high[1])
             middle = (thing.model.low[2] + thing.model.high[2]) / 2 + thing.z
             point = np.array((thing.x - np.sin(thing.yaw) * back, thing.y + np.cos(thing.yaw) * back, middle))

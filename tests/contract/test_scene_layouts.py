@@ -25,7 +25,7 @@ RULES = builtin_rules()
 
 
 def floor_of(plan: FloorPlan) -> Grid:
-    """Returns the grid of pieces in the height band of the robot."""
+    """Returns the occupancy grid of the pieces in the height band of the robot."""
     boxes = piece_boxes(plan)
     solid = boxes[(boxes[:, 1, 2] > BAND_M[0]) & (boxes[:, 0, 2] < BAND_M[1])]
     origin = solid[:, 0, :2].min(axis=0)
@@ -41,7 +41,7 @@ def floor_of(plan: FloorPlan) -> Grid:
 
 
 def connected_share(plan: FloorPlan, grid: Grid) -> float:
-    """Returns the share of the wide floor of the rooms that is connected; of all floor, if the plan has no rooms."""
+    """Returns the connected share of the wide floor in the rooms; without rooms, of all wide floor of the plan."""
     wide, connected = grid.clearance >= CONNECT_CLEARANCE_M, grid.connected_floor()
     inside = np.full(wide.shape, not plan.rooms)
     for room in plan.rooms:
@@ -80,7 +80,7 @@ def test_every_seed_has_one_connected_floor_that_reaches_each_category(
 
 
 def require_reach(plan: FloorPlan, name: str) -> None:
-    """Checks that nine tenths of the wide floor are connected, and that it reaches three things of each category."""
+    """Checks that nine tenths of the wide floor are connected and at least three objects of each category in reach."""
     grid = floor_of(plan)
     assert connected_share(plan, grid) >= 0.9
     reached = reached_categories(plan, grid)
@@ -117,7 +117,7 @@ def test_layouts_of_a_family_differ_in_rooms_doors_and_finishes(name: str, layou
 
 @pytest.mark.parametrize("seed", [12, 16, 20, 23, 32])
 def test_a_home_that_lacks_room_at_first_has_every_category(seed: int) -> None:
-    """These seeds had no bed, wardrobe or washing machine, or no division of their first outline."""
+    """These homes get a bed, a wardrobe, a washing machine or a division into rooms only after a retry."""
     plan = lay_out_scene(BUILTIN_SCENES["home"], seed)
     rules = [RULES.match(re.sub(r"_\d+$", "", placement.name)) for placement in plan.placements]
     wanted = {category for group in BUILTIN_CATEGORIES["home"] for category in group}

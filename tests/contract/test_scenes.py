@@ -31,7 +31,7 @@ from workers.render.cull import PartBounds, visible_parts
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """The scenes of the paper and two layouts; with `--scene-seeds N` layouts 0 to N - 1 of every family."""
+    """Selects the scenes of the paper and two layouts; `--scene-seeds N` selects layouts 0 to N - 1 of every family."""
     if "package" in metafunc.fixturenames:
         seeds = range(metafunc.config.getoption("--scene-seeds"))
         families = sorted(BUILTIN_SCENES) if len(seeds) > 1 else ("home", "office")
@@ -74,7 +74,7 @@ def test_every_category_of_the_paper_can_be_reached(scene: CompiledScene) -> Non
 
 
 def test_every_category_has_a_path_from_near_mid_and_far(scene: CompiledScene) -> None:
-    """A family is tested near and far with any path, because its rooms are small and its furniture is large."""
+    """In a family, near and far starts with any path suffice: its rooms are small and its furniture is large."""
     is_family = scene.info.name not in PAPER_SCENES
     ways = {
         (target.category, tier)
@@ -90,7 +90,7 @@ def test_straight_tiers_are_connected_too(scene: CompiledScene) -> None:
     for target in scene.info.targets:
         assert set(target.straight_tiers) <= set(target.connected_tiers)
         assert set(target.surface_straight_tiers) <= set(target.surface_connected_tiers)
-        is_family = scene.info.name not in PAPER_SCENES  # which has targets too large for the measure by centroid
+        is_family = scene.info.name not in PAPER_SCENES  # families have targets too large for success by centroid
         assert Tier.FAR in (target.surface_connected_tiers if is_family else target.connected_tiers)
 
 
@@ -141,7 +141,7 @@ def test_most_objects_have_a_correct_colour(scene: CompiledScene) -> None:
 
 
 def test_no_view_exceeds_the_triangle_budget_of_a_frame(scene: CompiledScene) -> None:
-    """Counts front-facing triangles of parts in view, also behind walls."""
+    """Counts the front-facing triangles of all parts within the camera's view, including parts behind walls."""
     triangles = scene.positions.reshape(-1, 3, 3).astype(np.float64)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     part = np.repeat(np.arange(len(scene.part_count)), scene.part_count // 3)

@@ -1,4 +1,4 @@
-"""240 episodes as one run, as 7 shards, on Slurm and on Ray, with kills: one digest, and no false failure.
+"""Runs 240 episodes as one run, as 7 shards, on Slurm and on Ray, with kills; all datasets have the same digest.
 
 `make test-engines` runs these tests; they take half an hour on two cores.
 """
@@ -67,7 +67,7 @@ def test_seven_shards_of_which_three_are_killed_and_resumed_give_the_digest_of_o
 def test_shards_on_slurm_with_every_event_give_the_digest_of_one_run(
     slurm: SlurmCluster, digest: str, tmp_path: Path
 ) -> None:
-    with slurm.without("n2", "n3"):  # two shards at a time: others are left after half a minute
+    with slurm.without("n2", "n3"):  # runs two shards at a time, so some remain after half a minute
         run = SubmittedRun(slurm, tmp_path / "run", "shards", PLAN)
         run.reach_time_limit()
     cancelled = run.cancel_one()
@@ -76,7 +76,7 @@ def test_shards_on_slurm_with_every_event_give_the_digest_of_one_run(
     run.drain_node("")
     run.fail_node("")
     assert run.wait_for_end("shards") == "CANCELLED COMPLETED"
-    assert run.wait_for_end("gather") == "FAILED"  # a shard is not finished
+    assert run.wait_for_end("gather") == "FAILED"  # the cancelled shard is not finished
     run.resubmit("shards", f"--array={cancelled}")
     run.resubmit("gather", f"--dependency=afterok:{run.jobs['shards']}")
     assert run.wait_for_end("gather") == "COMPLETED"
@@ -87,7 +87,7 @@ def test_shards_on_slurm_with_every_event_give_the_digest_of_one_run(
 def test_workers_on_slurm_with_every_event_give_the_digest_of_one_run(
     slurm: SlurmCluster, digest: str, tmp_path: Path
 ) -> None:
-    with slurm.without("n2", "n3"):  # a single worker: jobs are left after half a minute without a pause
+    with slurm.without("n2", "n3"):  # one worker only: jobs remain after half a minute
         run = SubmittedRun(slurm, tmp_path / "run", "workers", PLAN)
         run.reach_time_limit()
     run.cancel_one()

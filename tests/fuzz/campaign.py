@@ -1,4 +1,4 @@
-"""`make fuzz`: fuzzes every target for a time, each in a process with limited memory; exits with 1 on findings."""
+"""`make fuzz`: fuzzes each target for a limited time, in a process with limited memory; exits with 1 on findings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.fuzz.targets import TARGETS
 
 
 def fuzz(target: str, folder: Path, seed: int, seconds: float, count: int = sys.maxsize) -> str:
-    """Fuzzes one target and returns the findings; empty without findings.
+    """Fuzzes one target; returns a description of its findings, or an empty text.
 
     Args:
         target: name of the target.

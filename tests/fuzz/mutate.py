@@ -1,4 +1,4 @@
-"""Damages a file in ways that often break parsers. Pure: the same generator gives the same bytes."""
+"""Damages a file in ways that often break parsers. The result depends only on the arguments."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def mutate(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def mutate_members(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Damages a member of a zip file whose container stays valid, or the whole file."""
+    """Damages a member of a zip file and keeps the container valid, or damages the whole file."""
     if rng.random() < 0.4:
         return mutate(rng, data, others)
     with zipfile.ZipFile(io.BytesIO(data)) as source:
         members = [(info.filename, source.read(info)) for info in source.infolist()]
     victim = rng.randrange(len(members))
-    if rng.random() < 0.5:  # small members, metadata and arrays, contain most of the structure
+    if rng.random() < 0.5:  # the small members (metadata, arrays) have most structure
         victim = rng.choice(sorted(range(len(members)), key=lambda at: len(members[at][1]))[:8])
     name, content = members[victim]
     members[victim] = (name, mutate(rng, content, [each for _, each in members]))
@@ -90,7 +90,7 @@ def _insert(rng: random.Random, data: bytes, _others: Sequence[bytes]) -> bytes:
 
 
 def _replace_word(rng: random.Random, data: bytes, _others: Sequence[bytes]) -> bytes:
-    """Replaces the text between two separators, so that text stays valid text."""
+    """Replaces the word between two separators, so that a text file remains readable text."""
     marks = [at for at, byte in enumerate(data) if byte in b' ,:="()[]{}\n'][:100_000]
     if len(marks) < 2:
         return data

@@ -59,17 +59,17 @@ _ZIPFILE_ERRORS = (
 
 
 class Target(NamedTuple):
-    """One parser."""
+    """A parser to fuzz, with its valid input files."""
 
     run: Callable[[bytes, Path], object]
-    """Reads bytes, with a private folder; only a `FactoryError` may be raised."""
+    """Parses bytes, and may use a private folder; may raise a `FactoryError` only."""
     seeds: Callable[[Path], list[bytes]]
     """Function that makes valid files in a folder, in addition to those of the corpus."""
     mutate: Mutate = mutate
 
 
 def _read_message(data: bytes, _folder: Path) -> None:
-    """The first byte selects the verb."""
+    """Parses a message; the first byte selects its verb."""
     verb, payload = _VERBS[(data or b"\0")[0] % len(_VERBS)], data[1:]
     parse(verb, "host", payload)
     parse(verb, "host", payload, RELAY_MESSAGES)
@@ -113,7 +113,7 @@ def _or_none(read: Callable[[Any], bytes], member: object) -> bytes | None:
 
 
 def _containers(_folder: Path) -> list[bytes]:
-    """A container of the product, and the same members written by `zipfile`."""
+    """Returns a container that this project writes, and a file with the same members that `zipfile` writes."""
     members = {"meta.json": b"{}", "rgb_front/000000.png": bytes(range(64)), "ö.npy": b"", "last": b"PK\x05\x06" * 4}
     ours, theirs = io.BytesIO(), io.BytesIO()
     with ContainerWriter(ours) as writer, zipfile.ZipFile(theirs, "w") as stored:
@@ -140,7 +140,7 @@ def _read_shards(data: bytes, folder: Path) -> None:
 
 
 def _shards(folder: Path) -> list[bytes]:
-    """A shard, and its index."""
+    """Returns a shard and its index."""
     file, index = io.BytesIO(), folder / "seed.parquet"
     write_shard(file, ((number, bytes([number]) * 40 * number) for number in (1, 2, 5)))
     write_index(index, ShardIndex.of(folder / EPISODES, [read_shard(file, _SHARD)]))
@@ -164,7 +164,7 @@ def _read_scene(data: bytes, _folder: Path) -> None:
 
 
 def _read_tables(data: bytes, folder: Path) -> None:
-    """The same bytes as each table of a dataset."""
+    """Reads a dataset whose tables are all replaced by the bytes."""
     root = _dataset(folder)
     (root / "metadata.parquet").write_bytes(data)
     (root / "attempts.parquet").write_bytes(data)
@@ -206,7 +206,7 @@ _SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".sdf", ".urdf")
 
 
 def _read_formats(data: bytes, folder: Path) -> None:
-    """The first byte selects the suffix."""
+    """Reads a scene file; the first byte selects its suffix."""
     suffix = _SUFFIXES[(data or b"\0")[0] % len(_SUFFIXES)]
     path = folder / f"scene{suffix}"
     path.write_bytes(data[1:])

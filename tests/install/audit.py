@@ -39,7 +39,7 @@ def _say(text: str) -> None:
 
 
 def summarise(report: dict[str, Any]) -> tuple[int, int, list[str]]:
-    """Returns vulnerabilities, packages that could not be audited, and one line for each vulnerable package."""
+    """Returns the numbers of vulnerabilities and unaudited packages, and a line (possibly empty) for each package."""
     found, unknown, lines = 0, 0, []
     for package in report.get("dependencies", []):
         flaws = package.get("vulns", [])
@@ -57,7 +57,7 @@ def _ask(command: str, requirements: str, service: str) -> dict[str, Any]:
     try:
         said = subprocess.run(words, capture_output=True, text=True, timeout=_LIMIT_S).stdout
         report: dict[str, Any] = json.loads(said)
-    except (subprocess.TimeoutExpired, json.JSONDecodeError):  # unreachable; pip-audit prints a traceback
+    except (subprocess.TimeoutExpired, json.JSONDecodeError):  # not reachable: pip-audit prints no JSON
         return {}
     return report
 

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Installed:
-    """A virtual environment with the wheel; `root` is its directory, `downloads` that of pip's cache."""
+    """A virtual environment with the wheel; `root` is its directory, `downloads` is the directory of pip's cache."""
 
     def __init__(self, root: Path, version: str, downloads: Path) -> None:
         self.root, self.version, self._downloads = root, version, downloads
@@ -36,7 +36,7 @@ class Installed:
 
 
 def find_python(version: str) -> Path | None:
-    """Returns an interpreter of a version: from PATH, else from pyenv's versions; `None` if not found."""
+    """Returns an interpreter of a Python version from PATH or, if PATH has none, from pyenv; `None` if not found."""
     found = shutil.which(f"python{version}")
     homes = Path(os.environ.get("PYENV_ROOT", "/nonexistent"), "versions").glob(f"{version}.*/bin/python")
     for python in (*([found] if found else ()), *sorted(map(str, homes), reverse=True)):

@@ -1,7 +1,7 @@
 """Tests the wheel in new environments of each supported Python: the base install and the extras.
 
-Runs with `make test-install`; it installs packages, which takes minutes. The tests of one environment are a group: one
-process runs them in this order, since the last one installs a foreign package there.
+Runs with `make test-install`; it installs packages, which takes minutes. The tests of one environment are a group:
+one process runs them in the order of this file, because the last test installs a foreign package in the environment.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def wheel(shared: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Installed]:
-    """Returns the environment of a version with the base install, created at its first use."""
+    """Returns a function that creates, at its first call, the environment of a Python version with the base install."""
     made: dict[str, Installed] = {}
 
     def environment(version: str) -> Installed:

@@ -1,4 +1,4 @@
-"""Small real datasets for the tests of evaluation and of recordings."""
+"""Small real datasets and other fixtures that several integration tests share."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def drives(shared: Path) -> Dataset:
 
 @pytest.fixture(scope="session")
 def recordings(shared: Path) -> dict[Recording, Path]:
-    """The same two drives, recorded as frames and as states; tests only read them. Needs an EGL driver."""
+    """Datasets of frames and of states with the same two drives; tests only read them. Needs an EGL driver."""
     return driven_recordings(shared)
 
 
@@ -43,14 +43,14 @@ def rigged(factory: FactoryCli, shared: Path, recordings: dict[Recording, Path])
 
 @pytest.fixture(scope="session")
 def checker() -> Iterator[SharedValidator]:
-    """A validator for the coordinators and repairs of all modules, one after another."""
+    """A validator that the coordinators and repairs of all test modules use one after another."""
     with Validator() as validator:
         yield SharedValidator(validator)
 
 
 @pytest.fixture
 def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
-    """A relay to the object store, which can fail."""
+    """A relay to the object store that can inject failures."""
     with StoreRelay(object_store.endpoint) as between:
         yield between
 

@@ -1,4 +1,4 @@
-"""The archive under kill -9: every archived episode is intact, and no partial file has an episode name."""
+"""Kills a process that writes to the archive: every archived episode is intact, no partial file has an episode name."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_killed_writer_leaves_only_whole_episodes(tmp_path: Path) -> None:
     for _ in range(6):
         writer = subprocess.Popen(script(_WRITER, tmp_path, following), stdout=subprocess.PIPE, text=True)
         assert writer.stdout is not None
-        reported = [int(writer.stdout.readline())]  # it has started
+        reported = [int(writer.stdout.readline())]  # the writer has started
         time.sleep(float(rng.uniform(0, 0.1)))
         writer.kill()
         reported += [int(line) for line in writer.stdout if line.endswith("\n")]

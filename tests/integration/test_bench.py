@@ -40,8 +40,8 @@ from workers.sim.scene_renderer import SceneRenderer
 
 LOOP = ["start", "render", "read-back", "control", "physics", "png rgb", "depth", "png ids", "bundle", "route"]
 LEAK_MIB = 20.0
-"""Limit of the growth of memory, MiB. One leaked frame of 3.7 MiB in each of the 16 compared episodes would be three
-times as much."""
+"""Limit of the growth of memory, MiB. If each of the 16 compared episodes leaked one frame of 3.7 MiB, the growth would
+be three times this limit."""
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_rendering_and_readback_are_timed_separately() -> None:
     assert found.frames_per_s.runs == 2
 
 
-# without garbage collection, a frame that only a cycle of references keeps is a leak that the test finds
+# without garbage collection, frames kept alive by reference cycles count as leaks, so that the test finds them
 WITHOUT_GC = "import gc, runpy; gc.disable(); runpy.run_module('workers.sim.simulate', run_name='__main__')"
 COMMAND = (sys.executable, "-c", WITHOUT_GC, "--renderer", "gl")
 
@@ -162,13 +162,13 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert found.archive_mb_per_s.median > 0
     assert found.wire.cycles_per_s.median > 1
     assert found.wire.archived_per_s.median >= 0
-    assert found.wire.coordinator_cpu_ms.low > 0.05  # must include at least the time of its COMMIT
+    assert found.wire.coordinator_cpu_ms.low > 0.05  # includes at least the time of the COMMIT
     assert found.wire.workers_cpu_ms.low > 0.05
     assert (found.wire.session_load.sessions, found.wire.delivery_load.workers) == (8, 4)
     assert found.wire.delivery_load.claims > 0
-    # a separate process that never keeps a whole bundle in memory
+    # the memory of a separate process, which never has a whole bundle in memory
     assert 30 < found.wire.delivery_load.memory.start_mib <= found.wire.delivery_load.memory.peak_mib
-    # bundles of the burst and of the previous cycles
+    # four bundles of the concurrent deliveries, and the bundles of earlier cycles
     assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints of a changing ledger: a checkpoint of the changes gives the bytes of one that reads every row."""
+"""Checkpoints of a changing ledger: reading only the changed rows gives the same files as reading all rows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def read(root: Path) -> dict[str, bytes]:
 
 
 def rewritten(root: Path, timed_ledger: TimedLedger) -> dict[str, bytes]:
-    """Returns the tables as a new process writes them."""
+    """Returns the tables that a new process, which must read every row, writes."""
     root.mkdir()
     with open_archive(root) as archive, timed_ledger.engine.connect() as connection:
         write_checkpoint(archive, connection, timed_ledger.plan, timed_ledger.catalog, NOW)
@@ -47,7 +47,7 @@ def test_a_checkpoint_of_the_changes_has_the_bytes_of_a_rewritten_one(tmp_path: 
 
 
 def test_a_checkpoint_reads_only_the_rows_that_have_changed(tmp_path: Path) -> None:
-    """Rows that change without an event, which happens in tests only, stay as they were written."""
+    """Deletes rows without an event, which happens only in tests; the next checkpoint must not notice it."""
     timed_ledger = TimedLedger(room_plan(GROUP_ROWS + 1))
     lease = timed_ledger.lease()
     assert timed_ledger.done(lease)
@@ -109,7 +109,7 @@ def tallies(timed_ledger: TimedLedger) -> tuple[set[tuple[object, ...]], set[tup
 
 
 def counted(timed_ledger: TimedLedger) -> tuple[set[tuple[object, ...]], set[tuple[object, ...]]]:
-    """Counts the rows one by one."""
+    """Returns the tallies computed by counting the rows one by one."""
     cells: dict[tuple[object, ...], int] = {}
     outcomes: dict[str, tuple[int, int]] = {}
     with timed_ledger.open() as connection:

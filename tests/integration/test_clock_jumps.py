@@ -1,4 +1,4 @@
-"""The coordinator's clock is set by hours during a run: live workers keep their jobs, dead ones lose theirs."""
+"""Changes the coordinator's clock by hours during a run: running workers keep their jobs, dead workers lose theirs."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ READING = (
     ("jobs", "show", "{}", "1"),
 )
 TABLES_ONLY = ("stats", "{}")
-"""Command that reads no ledger; a damaged one is in its dataset."""
+"""Command that reads no ledger and must therefore work although the ledger of the dataset is damaged."""
 WRITING = (("jobs", "retry", "{}", "--all"), ("jobs", "cancel", "{}", "2"))
 OPENING = (
     ("run", "--out", "{}"),
@@ -54,7 +54,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> ArchivedRun:
 
 @pytest.fixture
 def damaged_run(whole: ArchivedRun, tmp_path: Path) -> Path:
-    """A copy of it, to be damaged."""
+    """A copy of the run `whole` that a test can damage."""
     return Path(shutil.copytree(whole.root, tmp_path / "out"))
 
 
@@ -65,7 +65,7 @@ def call(
     monkeypatch.setattr(sys, "argv", ["factory", *(word.format(root) for word in words)])
     try:
         code = _run()
-    except SystemExit as error:  # early exit of an option
+    except SystemExit as error:  # raised by options that exit early
         code = int(error.code or 0)
     said = capsys.readouterr()
     assert code in (0, 1, 2), (words, code, said.err)

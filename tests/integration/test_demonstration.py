@@ -1,4 +1,4 @@
-"""Requirements on a demonstration in a real attempt: physics, renderer, expert and bundle."""
+"""Checks the requirements on a demonstration in a real attempt with physics, renderer, expert and bundle."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from workers.sim.scene_renderer import SceneRenderer
 ROOM = room_walls((-4.0, -3.0), (4.0, 3.0))
 RACK = Box((2.0, -1.3, 0.0), (2.8, 1.3, 2.0), (200, 30, 30), category="rack")
 BOARD = Box((3.8, -0.3, 1.9), (4.0, 0.3, 2.4), (30, 30, 200), category="whiteboard", solid=False)
-"""Above the camera's view from a metre away."""
+"""A target that is above the view of the camera when the robot is a metre away."""
 
 
 def planner_job(scene: CompiledScene, **changes: object) -> Job:

@@ -74,7 +74,7 @@ def command_lines() -> list[tuple[str, list[str]]]:
 
 
 def _of_shell(text: str) -> list[str]:
-    """Returns the words after the last `factory` of a shell command, with numbers for the variables."""
+    """Returns the words after the last `factory` of a shell command; `demo` or 8 replaces each variable."""
     command = re.split(r"\bfactory\s", text)[-1].partition("\n")[0]
     return shlex.split(
         re.sub(r"\$\{(\w+)\}", lambda found: {"plan": "demo", "PLAN": "demo"}.get(found[1], "8"), command)
@@ -82,7 +82,7 @@ def _of_shell(text: str) -> list[str]:
 
 
 def _filled(words: Sequence[str]) -> list[str]:
-    """Fills in the defaults of `${NAME:-default}`."""
+    """Replaces each `${NAME:-default}` by the default."""
     return [re.sub(r"\$\{\w+:-(\w+)\}", r"\1", str(word)) for word in words]
 
 
@@ -300,13 +300,13 @@ def test_shell_scripts_are_valid(script):
     shell = "bash" if "bash" in script.read_text().splitlines()[0] else "sh"
     assert subprocess.run([shell, "-n", str(script)]).returncode == 0
     if shutil.which("shellcheck") is None:
-        pytest.skip("needs shellcheck; its syntax is checked")
+        pytest.skip("needs shellcheck; only the syntax was checked")
     done = subprocess.run(["shellcheck", str(script)], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
 
 
 class Cluster:
-    """Stub of Slurm: `scontrol` records its arguments, `factory` is a worker that exits on a signal."""
+    """Stubs of the programs in a Slurm task: `scontrol` records its arguments, `factory` is the script `worker`."""
 
     def __init__(self, folder: Path, worker: str) -> None:
         self.told = folder / "told"
@@ -337,7 +337,7 @@ class Cluster:
                     os.killpg(task.pid, signal.SIGKILL)
 
     def before(self, command: str, deed: str) -> None:
-        """Runs a script before a command of the task, to fix the order of events."""
+        """Runs the script `deed` directly before a command of the task, so that the order of events is fixed."""
         trap = self.bin / "trap.sh"
         trap.write_text(f"""set -T\ntrap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
         self.environment["BASH_ENV"] = str(trap)

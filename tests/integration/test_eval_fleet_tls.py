@@ -1,4 +1,4 @@
-"""An evaluation on workers of a collection behind mTLS; its certificate has no other rights."""
+"""An evaluation on workers of a collection behind mTLS; the certificate of the evaluation has no other rights."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def pki(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
-    """A collection that does not end automatically."""
+    """The coordinator of a collection with so many episodes that it does not end during a test."""
     plan, catalog = room_plan(2000), room_catalog(tmp_path)
     guard = Guard(pki / "hub")
     with Coordinator(
@@ -59,14 +59,14 @@ def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
 
 @contextmanager
 def working(endpoint: str, pki: Path, folder: Path) -> Iterator[None]:
-    """A worker of the collection that supports evaluations."""
+    """Runs a worker of the collection that supports evaluations."""
     more = {"host": "node", "tls": files_of(pki, "node"), "command": COLLECT, "eval_command": EVALUATE}
     with WorkerThread(settings_for(endpoint, folder / "worker", **more)):
         yield
 
 
 def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> list[tuple[str, int]]:
-    """Results of two episodes without motion."""
+    """Evaluates two episodes without motion; returns end and number of steps of each."""
     campaign = standing_still(drives)
     access = FleetAccess(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
     with open_store(folder / "results", campaign) as store:

@@ -1,4 +1,4 @@
-"""Policies behind a websocket: protocol, late servers, server errors, lost connections and other servers."""
+"""Policies behind a websocket: protocol, servers that start late, server errors, lost connections, foreign servers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Answer = Callable[[ServerConnection, dict[str, Any]], None]
 
 @contextmanager
 def server(answer: Answer, greeting: bytes | str = pack({"name": "test"})) -> Iterator[str]:
-    """Serves on loopback; calls `answer` with the connection and each observation."""
+    """Runs a websocket server on loopback that calls `answer` with the connection and each observation."""
 
     def handle(connection: ServerConnection) -> None:
         connection.send(greeting)
@@ -233,7 +233,7 @@ def test_the_example_server_drives_forward_on_free_floor_and_turns_before_a_wall
 
 
 def test_the_example_class_answers_with_actions_within_range(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(EXAMPLES)  # a user policy need not be installed: the working directory is sufficient
+    monkeypatch.chdir(EXAMPLES)  # a policy in the working directory need not be installed
     monkeypatch.setattr(sys, "path", list(sys.path))
     policy = make_policy("my_policy:TowardsOpenFloor", QUICK)
     policy.reset("Go to the chair.", INFO)
@@ -243,6 +243,6 @@ def test_the_example_class_answers_with_actions_within_range(monkeypatch: pytest
 
 
 def look(depth_m: float) -> PolicyInput:
-    """An observation of a wall straight ahead."""
+    """Returns the input of a policy that faces a wall at a distance."""
     rgb, depth = np.zeros((640, 640, 3), np.uint8), np.full((640, 640), depth_m, np.float32)
     return PolicyInput(rgb=rgb, depth=depth, instruction="Go to the chair.", step=0)

@@ -112,13 +112,13 @@ def test_a_policy_error_fails_only_its_own_episodes(drives: Dataset, specs: Spec
     assert "exit status 7" in died.detail
     assert "for 2 s" in hung.detail
     assert (raised.num_steps, hung.num_steps) == (3, 5)
-    assert 0.0 < hung.trajectory_length_m < 0.1  # a quarter of a second with 2.5 m/s2
+    assert 0.0 < hung.trajectory_length_m < 0.1  # accelerates at 2.5 m/s2 for a quarter of a second
     assert hung.final_ne_m < hung.spawn_dist_m
 
 
 @pytest.mark.gl
 def test_policies_run_in_a_process_without_a_graphics_driver(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
-    """Also after a built-in policy, whose process renders in-process."""
+    """A built-in policy is evaluated first; its process renders in-process and has loaded the driver."""
     names = ("expert", f"{MINE}:ChecksDriver", "stop")
     campaign = campaign_of(drives, short(specs, 12).only(None, 2), *names)
     setup = campaign.setup.model_copy(update={"renderer": "gl"})
@@ -148,7 +148,7 @@ def test_a_policy_receives_only_camera_and_instruction_also_under_ablation(
     yaw_change = {row.variant: abs(row.track[-1][2] - row.track[0][2]) for row in rows}
     assert yaw_change[Variant.EMPTY] > 0.01 > yaw_change[Variant.WRONG]
     assert {row.instruction for row in rows if row.variant is Variant.EMPTY} == {""}
-    assert len(found["stop"]) == 3  # it gets no instruction and is not evaluated again
+    assert len(found["stop"]) == 3  # not evaluated under ablation, because it reads no instruction
     with open_store(tmp_path, campaign) as store:
         evaluation = publish(campaign, store, videos=0)
     listens, stop = evaluation.policies
@@ -174,7 +174,7 @@ def test_a_stopped_evaluation_resumes_and_gives_the_same_numbers(
         after = store.results("random")
     assert told[0] == len(done)
     assert told[-1] == 3
-    assert [row for row in after if row.spec_id in done] == before  # equal wall times: not run again
+    assert [row for row in after if row.spec_id in done] == before  # equal wall times: the same runs
     uninterrupted = drive(tmp_path / "uninterrupted", campaign)["random"]
     assert without_clocks(uninterrupted) == without_clocks(after)
 

@@ -1,4 +1,4 @@
-"""Unfiltered starts of an evaluation meet the conditions of their instruction on the start view."""
+"""Unfiltered starts of an evaluation: what the instruction requires of the start view is true at each start."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EPISODES = 28  # two of each template without a colour
 
 
 def make_dataset(root: Path, unique: Unique) -> Dataset:
-    """Returns a dataset without episodes of a room with two crates."""
+    """Returns a dataset without episodes whose scene is a room with two crates."""
     plan = Plan(
         name="two_crates",
         scenes=(ScenePlan(name="boxes", usd="boxes.usda", episodes=EPISODES, seen=("crate",)),),
@@ -53,8 +53,8 @@ def make_dataset(root: Path, unique: Unique) -> Dataset:
 
 
 def views(specs: SpecSet, stage: SceneRenderer) -> list[tuple[bool, bool, bool, float]]:
-    """Returns for each spec whether the words say "in front", whether target and other crate are in view, and the
-    angle between heading and target, radians."""
+    """Returns four values for each spec: whether its instruction says "in front", whether the target and whether the
+    other crate are in view, and the angle between the heading and the direction to the target, radians."""
     found = []
     crates = {target.instance_id for target in SCENE.info.targets}
     place = prepare_scene(SCENE)

@@ -1,4 +1,4 @@
-"""The evaluation process of a worker: the tasks that it refuses."""
+"""Evaluation tasks that the evaluation process of a worker refuses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 
 
 def reports_on(policy: str, tmp_path: Path) -> list[SimulationReport]:
-    """Returns the reports on one task."""
+    """Runs an evaluation process with one task and returns its reports."""
     request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
     task = EvalTask(number=1, policy=policy, request=request, setup=Setup(settings=EvalSettings()))
     order = SimulationOrder(
@@ -38,7 +38,7 @@ def reports_on(policy: str, tmp_path: Path) -> list[SimulationReport]:
             assert report is not None, line
             found.append(report)
             if report.kind is SimulationReportKind.FAILURE:
-                process.stdin.close()  # it ends with its worker
+                process.stdin.close()  # the process ends when its worker closes stdin
     assert process.returncode == 0
     return found
 

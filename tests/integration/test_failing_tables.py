@@ -1,4 +1,4 @@
-"""Tables that cannot be written for a time: the run continues, the log stays short, and the recovery is logged."""
+"""Tables that temporarily cannot be written: the run continues, the log stays short, and the recovery is logged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import until
 
 ENOUGH_S = 5.0
-"""Time in which hundreds of tries would happen if the pauses between them did not grow."""
+"""Time in which there would be hundreds of tries if the pauses between them did not grow, seconds."""
 
 
 def test_a_failed_table_write_is_logged_once_and_retried(tmp_path: Path) -> None:

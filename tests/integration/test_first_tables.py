@@ -52,7 +52,7 @@ def test_the_first_tables_follow_the_first_episode_and_later_ones_the_interval(t
         deliver_one(coordinator)
         coordinator._tables.write_first()
         assert number_in_tables(tmp_path) == 1
-    assert number_in_tables(tmp_path) == 2  # at the end
+    assert number_in_tables(tmp_path) == 2  # written at the end of the run
 
 
 def test_failed_attempts_after_the_last_episode_are_in_the_tables(tmp_path, checker):

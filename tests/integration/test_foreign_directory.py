@@ -1,4 +1,4 @@
-"""Commands in a folder with files named like modules of the product and its libraries: none is executed."""
+"""Commands in a folder with files named like modules of the product and its libraries: no such file is executed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ raise ImportError("a file of the working directory was imported: " + __name__)
 
 @pytest.fixture
 def traps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The working directory; checks at the end that none of its files was executed."""
+    """Working directory with such files; checks at the end that none of them was executed."""
     folder = tmp_path / "dataset"
     make_dataset(folder, 2)
     text = TRAP.format(folder=str(tmp_path))

@@ -1,4 +1,4 @@
-"""Small exports, read back with their usual readers."""
+"""Exports a small dataset in every format and reads the exports with the usual reader of each format."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TRAIN_ID)
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three episodes of twelve frames in two splits."""
+    """A dataset of three episodes with twelve frames each, in two splits."""
     place = tmp_path_factory.mktemp("formats")
     root, package = place / "dataset", office_package()
     sha256 = hashlib.sha256(package).hexdigest()
@@ -232,7 +232,7 @@ def test_mcap_images_and_poses_are_those_of_the_episode(dataset, mcap):
 
 
 class LoaderTrajectory:
-    """The operations of the GNM, ViNT and NoMaD loaders on a trajectory, from their published code."""
+    """Reads a trajectory with the operations of the published data loaders of GNM, ViNT and NoMaD."""
 
     def __init__(self, data_folder: Path, name: str) -> None:
         with (data_folder / name / "traj_data.pkl").open("rb") as file:
@@ -265,7 +265,7 @@ def test_the_export_meets_the_expectations_of_the_gnm_loaders(dataset, gnm):
             assert np.abs(image - episode.rgb(time)).mean() < 6
         assert trajectory.data["position"].dtype == trajectory.data["yaw"].dtype == np.float64
         ahead = trajectory.actions(0, 5, config["metric_waypoint_spacing"])
-        assert (ahead[:, 0] > 0).all()  # waypoints are x forward, y left of the robot
+        assert (ahead[:, 0] > 0).all()  # in the frame of the robot: x forward, y left
         assert np.abs(ahead[:, 1]).max() < 1e-6
 
 
@@ -277,7 +277,7 @@ def test_gnm_waypoints_have_an_average_spacing_of_one(dataset, gnm):
 
 def test_gnm_pickles_reference_only_public_numpy_names(gnm):
     data = (gnm / "minivla_nav/ep_000001/traj_data.pkl").read_bytes()
-    assert b"numpy.core" not in data  # neither the old nor the new private numpy modules
+    assert b"numpy.core" not in data  # private numpy modules, old and new name
     assert b"numpy._core" not in data
 
 

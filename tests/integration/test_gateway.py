@@ -35,7 +35,7 @@ EPISODES = 3
 
 
 class Site:
-    """A coordinator, gateways and workers; every part can be closed and opened again."""
+    """A coordinator, gateways and workers; each of them can be closed and opened again."""
 
     def __init__(self, folder: Path, checker: SharedValidator, stack: ExitStack) -> None:
         self.folder, self.checker, self._stack = folder, checker, stack
@@ -68,7 +68,7 @@ class Site:
         return self._stack.enter_context(WireWorker(endpoints, self.core.run))
 
     def gather(self, *names: str, requeue_missing: bool = False) -> GatherReport:
-        """Gathers as `factory gather` does, with the coordinator closed."""
+        """Gathers the episodes of gateways as `factory gather` does; the coordinator must be closed."""
         out = self.folder / "out"
         repair_input = RepairInput(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
         sources = [self.folder / name for name in names]
@@ -89,7 +89,7 @@ def site(tmp_path: Path, checker: SharedValidator) -> Iterator[Site]:
 
 
 def deliver_jobs(worker: WireWorker, count: int = 1) -> list[Job]:
-    """Claims and delivers a number of episodes; returns their jobs."""
+    """Claims and delivers `count` episodes; returns their jobs."""
     jobs = []
     for _ in range(count):
         job, lease = worker.job()
@@ -212,7 +212,7 @@ def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_
         site.open_core(SETTINGS.model_copy(update={"lease_ttl_s": 4.0}))
     site.open_gateway("gw1").close()
     worker = site.open_worker((site.endpoint,))
-    worker.is_frozen = True  # the coordinator, which pulls here, gets no bundle
+    worker.is_frozen = True  # so that the coordinator, which would pull it, gets no bundle
     (job,) = deliver_jobs(worker)
     (bundle,) = (data for _, data in worker.spool.values())
     if lease == "lost":
@@ -255,13 +255,13 @@ def test_a_directory_of_another_gateway_is_refused(site):
 def test_two_concurrent_pulls_of_one_bundle_end_with_one_owner(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     for number in range(1, EPISODES + 1):
-        deliver_jobs(worker)  # owned by the gateway
+        deliver_jobs(worker)  # the gateway pulls the bundle
         worker.knows_router = False
-        worker.beat()  # now also pulled by the coordinator, as after a restart before gateways have reported
+        worker.beat()  # the coordinator pulls it too, as after a restart before gateways have reported
         worker.knows_router = True
         until(lambda: site.core.progress().jobs["archived"] == number)  # noqa: B023 - joined within the iteration
     worker.close()
-    until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the other one removes its copy
+    until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the loser removes its copy
     with open_ledger(site.url) as ledger:
         archived = [row.job_id for row in ledger.execute(select(events.c.job_id).where(events.c.event == "archived"))]
     assert len(archived) == len(set(archived)) == EPISODES

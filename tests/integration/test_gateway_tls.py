@@ -1,4 +1,4 @@
-"""A gateway behind mTLS: it forwards permitted requests of its workers, sends its requests, and has no other rights."""
+"""A gateway behind mTLS: it can forward requests of its workers and send gateway requests, and has no other rights."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def gateway(hub: Coordinator, pki: Path, tmp_path: Path) -> Iterator[Gateway]:
 
 
 def asks(hub: Coordinator, pki: Path, name: str, verb: Verb, message: Model, under: str = "") -> list[bytes]:
-    """Returns the reply of the coordinator to a request with a certificate, under its name or another name."""
+    """Sends a request with the certificate of `name`, as `name` or as the host `under`; returns the replies."""
     with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, name))) as session:
         key = verb_key(hub.run, under or name, verb)
         replies = session.get(key, zenoh.handlers.FifoChannel(4), payload=message.model_dump_json(), timeout=2.0)
@@ -127,9 +127,7 @@ def test_a_gateway_can_neither_answer_as_coordinator_nor_serve_bundles(hub, gate
             (answer,) = asks(hub, pki, "gw1", Verb.HOLD, ExtendLease(lease=lease, seconds=1.0))
             assert Ack.model_validate_json(answer).accepted
             assert worker.deliver(lease, b"nothing that is an episode")
-            until(
-                lambda: hub.progress().attempts.get("invalid") == 1
-            )  # validated with the bytes that the worker served
+            until(lambda: hub.progress().attempts.get("invalid") == 1)  # the bytes of the worker were validated
     assert lies == []
 
 
@@ -151,7 +149,7 @@ def test_a_revoked_gateway_loses_its_access(pki, tmp_path):
                 return asks(hub, mine, "gw1", Verb.JOIN, join) == []
             return False
 
-        until(lambda: is_out() and hub_is_up(hub, mine) and is_out())  # the session reconnects in between
+        until(lambda: is_out() and hub_is_up(hub, mine) and is_out())  # the session may reconnect in between
         assert asks(hub, mine, "gw2", Verb.JOIN, join)
 
 

@@ -219,7 +219,7 @@ def drive_two_episodes(drives: Dataset, specs: SpecSet, context: str | None, ins
         instruction=instruction,
     )
     try:
-        for episode in ("ep_000002", "ep_000003"):  # to the barrel, to the crate
+        for episode in ("ep_000002", "ep_000003"):  # their targets are the barrel and the crate
             first, info = vector.reset(options={"episode": episode})
             assert first["rgb"].shape == (2, SMALL, SMALL, 3)
             if instruction == "text":
@@ -246,7 +246,7 @@ def test_make_vec_works_with_processes_that_are_not_forked(
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("instruction", ["text", "tokens", "none"])
 def test_make_vec_works_with_forked_processes(drives: Dataset, specs: SpecSet, instruction: str) -> None:
-    """Gymnasium's default forks a process that has already created an environment for its spaces."""
+    """By default, Gymnasium forks a process that has already created an environment in order to read its spaces."""
     in_fresh_process(drive_two_episodes, drives, specs, None, instruction)
 
 
@@ -289,7 +289,7 @@ def test_using_an_environment_after_a_fork_names_the_alternatives(env: MiniVLANa
 
 @pytest.mark.gl
 def test_the_process_of_an_environment_never_loads_a_graphics_driver(drives: Dataset) -> None:
-    """The process can then load any library with LLVM or another OpenGL at any time."""
+    """Without a graphics driver, the process can load any library that contains LLVM or another OpenGL."""
     program = f"""
 import gymnasium, numpy
 env = gymnasium.make("factory.gym:MiniVLANav-v0", data={str(drives.root)!r}, size=64, renderer="gl")

@@ -74,7 +74,7 @@ def message_about(summary: EpisodeSummary, lease: Lease | None = None) -> Archiv
 
 
 def attack(peer: WireWorker, number: int) -> list[Any]:
-    """Sends every kind of false gateway message; returns the replies."""
+    """Sends a false gateway message of each kind; returns the replies."""
     foreign = summary_of(parts_for(job_for(1 + number % EPISODES)).meta, "1" * 64, 7)
     messages = (
         (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
@@ -126,7 +126,7 @@ def test_a_hostile_gateway_cannot_affect_honest_workers(hub: Coordinator) -> Non
 
 
 class Core:
-    """The coordinator's handlers of gateway requests, on a ledger in memory."""
+    """Handles gateway requests as the coordinator does, with a ledger in memory."""
 
     def __init__(self, episodes: int) -> None:
         self.timed_ledger = TimedLedger(room_plan(episodes))
@@ -137,7 +137,7 @@ class Core:
             return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.timed_ledger.now).reply
 
     def summaries(self) -> dict[int, EpisodeSummary]:
-        """Returns the row of each episode of the plan."""
+        """Returns the table row that a gateway would report for each episode of the plan, by index."""
         with self.timed_ledger.open() as connection:
             rows = connection.execute(select(jobs)).all()
         meta = parts_for().meta

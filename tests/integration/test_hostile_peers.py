@@ -47,7 +47,7 @@ def url(request: pytest.FixtureRequest) -> str | None:
 
 @pytest.fixture
 def hub(url: str | None, tmp_path: Path, checker: SharedValidator) -> Iterator[Coordinator]:
-    """A coordinator; checks at the end that the ledger of either database is valid."""
+    """A coordinator with a ledger in SQLite or PostgreSQL; checks at the end that the ledger is valid."""
     catalog = room_catalog(tmp_path)
     with Coordinator(
         tmp_path / "out",
@@ -66,7 +66,7 @@ def peer(hub: Coordinator) -> Iterator[WireWorker]:
 
 
 def with_every_number(message: dict[str, Any], number: Any) -> Iterator[dict[str, Any]]:
-    """Yields copies of a message with one changed value at any depth."""
+    """Yields copies of a message; in each copy, another value at any depth is replaced by `number`."""
     for key, value in message.items():
         if isinstance(value, dict):
             yield from (message | {key: inner} for inner in with_every_number(value, number))
@@ -102,7 +102,7 @@ def test_no_message_of_a_peer_makes_the_coordinator_fail(hub, peer, verb):
 
 
 def answer(peer: WireWorker, verb: str, message: dict[str, Any]) -> bytes | None:
-    """Returns the raw reply."""
+    """Sends a message and returns the raw reply; `None` if there is none."""
     key = verb_key(peer.run, peer.host, Verb(verb))
     channel = zenoh.handlers.FifoChannel(4)
     for reply in peer._session.get(key, channel, payload=json.dumps(message), timeout=5.0):

@@ -69,7 +69,7 @@ def test_each_row_has_a_thumbnail_that_decodes_to_the_first_frame(loaded: Loaded
         assert len(table["thumbnails"]) == len(table["rows"])
         for library, mode, width, height, (red, green, blue) in table["thumbnails"]:
             assert (library, mode, width, height) == ("PIL", "RGB", 160, 160)
-            assert green > max(red, blue)  # the synthetic frames are green there
+            assert green > max(red, blue)  # the first synthetic frames are green
 
 
 def test_columns_are_those_of_the_metadata_and_the_thumbnail(loaded: Loaded) -> None:

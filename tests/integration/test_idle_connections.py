@@ -40,7 +40,7 @@ def idle(node: ZenohNode, stack: ExitStack) -> socket.socket:
 
 def test_a_client_connects_beside_many_that_stay_silent() -> None:
     if resource.getrlimit(resource.RLIMIT_NOFILE)[1] < 2 * IDLE + 500:
-        pytest.skip("this machine lets a process open too few files for so many connections")
+        pytest.skip("the limit of open files is too low for so many connections")
     with listening("tcp") as node, ExitStack() as stack:
         for _ in range(IDLE):
             idle(node, stack)

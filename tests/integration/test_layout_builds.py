@@ -1,4 +1,4 @@
-"""Workers build the layouts of a plan under leases of its ledger, and drive in those that are built."""
+"""Workers build the layouts of a plan as leased jobs of its ledger, and simulate episodes in the built layouts."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ FIRST, SECOND = "office_00005", "office_00006"
 
 
 def package(layout: str, category: str = "chair") -> bytes:
-    """Returns the bundle of a build: the complete package of a room with one object."""
+    """Returns the result of a build: the complete package of a room with one object."""
     return make_layout(layout, category).complete()
 
 
 class Clock:
-    """Clock of a coordinator, which a test sets forward."""
+    """Clock of a coordinator that a test can set forward."""
 
     def __init__(self) -> None:
         self.ahead = timedelta()
@@ -135,7 +135,7 @@ def test_a_package_that_cannot_fulfil_the_plan_is_followed_by_the_next_seed(tmp_
         assert retried.build is not None
         assert retried.build.seed == 7
         deliver(worker, retried, package(FIRST))
-        # a worker repeats the announcement, because the coordinator ignores one while the refused transfer ends
+        # repeats the announcement, because the coordinator ignores it until the transfer of the refused file has ended
         until(lambda: not worker.beat().drop and not worker.spool)
         worker.job()
     assert "no reachable 'chair'" in read_dataset_meta(root).refused_seeds[FIRST][0]
@@ -169,7 +169,7 @@ def test_textures_that_the_coordinator_has_are_not_sent_again(tmp_path: Path) ->
         assert path.read_bytes() == make_layout(layout).package
         assert faulty_textures(path) == []
     assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
-    with coordinator(root) as core:  # knows the stored textures after a restart, too
+    with coordinator(root) as core:  # it knows the stored textures after a restart
         assert core.progress().layouts == {"archived": 2}
         assert len(list((root / "scenes/textures").iterdir())) == 2
 
@@ -237,7 +237,7 @@ sys.exit(main())
 
 
 def content_digests(folder: Path, *build_command: str) -> list[str]:
-    """Returns the digests of the episodes of a run with one worker."""
+    """Runs a plan with one worker and returns the digests of its episodes."""
     with coordinator(folder / "data") as core:
         settings = settings_for(core.endpoints[0], folder, command=(), build_command=build_command)
         with WorkerThread(settings) as worker:

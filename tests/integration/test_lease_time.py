@@ -1,4 +1,4 @@
-"""Time until the job of a dead worker is pending, from the timestamps of the ledger; independent of wall time."""
+"""Time until the job of a dead worker is pending again, by the timestamps of the ledger, independent of wall time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, until
 
 LATE_S = 1.0
-"""Maximum delay after the end of the lease, seconds."""
+"""Maximum time from the end of the lease until the job is pending again, seconds."""
 
 
 class SweptClock:
@@ -47,7 +47,7 @@ def test_the_job_of_a_dead_worker_is_pending_within_its_lease_plus_one_second(
     clock = SweptClock(CoordinatorSettings().sweep_s)
     settings = CoordinatorSettings(
         reserve_bytes=0, lease_ttl_s=lease_ttl_s, sweep_s=0.005
-    )  # sweeps are more frequent here
+    )  # sweeps more often than by default, so that the test is fast
     url = f"sqlite:///{tmp_path / 'out' / 'ledger.db'}"
     with Coordinator(
         tmp_path / "out",
@@ -70,7 +70,7 @@ def test_the_job_of_a_dead_worker_is_pending_within_its_lease_plus_one_second(
 
 
 class SteppedClock:
-    """Clock that the test advances."""
+    """Clock that stands still until the test sets it."""
 
     def __init__(self) -> None:
         self.now = datetime(2026, 1, 2, tzinfo=UTC)

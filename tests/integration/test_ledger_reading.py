@@ -1,4 +1,4 @@
-"""Reading the ledger of a dataset: leaves no file and reports active workers."""
+"""Reading the ledger of a dataset: it leaves no additional file, and it reports active workers."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def test_simulated_drive_passes_motion_validation(driver: Driver, start: tuple[f
 
 
 def test_unreported_contact_is_found() -> None:
-    """A robot blocked by a wall in an episode that reports no contact."""
+    """Validates an episode that reports no contact although a wall blocks the robot."""
     arrays, contacts = record(*DRIVES["into the wall"])
     assert contacts > 0
     assert any(
@@ -66,7 +66,7 @@ def test_unreported_contact_is_found() -> None:
 
 
 def test_shifted_commands_are_found() -> None:
-    """Actions that are shifted by 0.2 s against the poses."""
+    """Validates an episode whose actions are 0.2 s late relative to the poses."""
     arrays, contacts = record(*DRIVES["straight and stop"])
     late = np.concatenate([np.zeros((12, 2), np.float32), arrays.actions_continuous[:-12]])
     shifted = EpisodeArrays(late, tokens_of(late), arrays.poses)

@@ -1,4 +1,4 @@
-"""An archive in a bucket of a real S3 server: failures between a coordinator and its store."""
+"""An archive in a bucket of an S3 server on loopback: failures between a coordinator and its store."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def publish(archive: Archive, index: int, data: bytes) -> None:
 
 
 def message_of(action: Callable[[], object]) -> str:
-    """Returns the message of an error; asserts that the error and its causes contain no secret."""
+    """Runs an action that must fail; returns the error message and asserts that the error contains no secret."""
     with pytest.raises(WorldError) as caught:
         action()
     everything = "".join(traceback.format_exception(caught.value))
@@ -65,7 +65,7 @@ def copy_to(store: ObjectPath, folder: Path) -> None:
 
 def test_no_thread_of_arrow_holds_a_python_object_of_a_table_in_a_bucket(store: ObjectPath) -> None:
     store.objects.put("table", BIG)
-    with table_of(store / "table") as source:  # a Python file object here aborts some processes at their exit
+    with table_of(store / "table") as source:  # with a Python file object, some processes abort at their exit
         assert isinstance(source, pa.NativeFile)
         assert not isinstance(source, pa.PythonFile)
         assert source.read() == BIG
@@ -197,7 +197,7 @@ def _read_in_child(store: ObjectPath, said: multiprocessing.Queue[str]) -> None:
 
 
 def test_an_object_is_read_like_a_file(store: ObjectPath) -> None:
-    data = bytes(range(251)) * 12_000  # longer than the read-ahead and the tail
+    data = bytes(range(251)) * 12_000  # longer than the parts that are read in advance at the start and at the end
     store.objects.put("big", data)
     with (store / "big").open() as file:
         assert file.seek(0, 2) == len(data)

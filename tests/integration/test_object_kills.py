@@ -1,4 +1,4 @@
-"""A coordinator killed at every step between the put of an object and the ledger commit, and restarted."""
+"""Kills a coordinator at every step between the put of an object and the commit of the ledger, and restarts it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 EPISODES = 2
 RUN = room_plan(EPISODES, crashes=20)
-"""Plan of `room_coordinator`."""
+"""The plan that `tests.builders.room_coordinator` uses."""
 LEASE_S = 60.0
 SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=3.0)
 EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"
@@ -41,13 +41,13 @@ EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"
 
 @dataclass(frozen=True)
 class Step:
-    """Moment of the kill: a stage of the first request with a method and key after the put of the episode."""
+    """Moment of the kill: a stage of the first request with this method and key, from the put of the episode on."""
 
     moment: Moment
     method: str
     key: str
     is_kept: bool
-    """Whether the first episode is in the bucket by then."""
+    """Whether the first episode is in the bucket at the moment of the kill."""
 
     def __str__(self) -> str:
         return f"{self.method} {self.key} {self.moment}"
@@ -85,7 +85,7 @@ class Killer:
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same run in a directory without kills."""
+    """Dataset directory of the same run without kills and without object storage."""
     folder = tmp_path_factory.mktemp("reference")
     with (
         Coordinator(
@@ -102,7 +102,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def coordinator(server: ForkServer, root: Path, endpoint: str, store: ObjectPath) -> Iterator[Child]:
-    """Runs a coordinator in a separate process; returns when it listens."""
+    """Runs a coordinator in a separate process; yields the process once it listens."""
     words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, Recording.FRAMES, store)
     process = server.start("tests.builders.room_coordinator", [*map(str, words)], os.environ, Path(os.devnull))
     try:
@@ -114,7 +114,7 @@ def coordinator(server: ForkServer, root: Path, endpoint: str, store: ObjectPath
 
 
 def finish(running: Coordinator, worker: WireWorker) -> None:
-    """Claims, delivers and sends heartbeats until the run is finished."""
+    """Claims jobs, delivers bundles and sends heartbeats until the run is finished."""
 
     def is_finished() -> bool:
         reply = worker.claim()

@@ -1,4 +1,4 @@
-"""Episodes seen by the sensors of a rig: rendered from the recorded poses when they are read."""
+"""Measurements of the sensors of a rig, computed from the recorded poses when an episode is read."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_the_flow_leads_to_the_same_point_in_the_next_image(data: Dataset):
 def test_a_depth_image_warped_by_the_flow_has_the_distances_of_the_earlier_surfaces(
     recordings: dict[Recording, Path], camera: Camera
 ):
-    """OpenCV reads the later image where the flow leads; the surface there has the distance that geometry gives."""
+    """Warps the later depth image by the flow with OpenCV and compares it with distances computed from the poses."""
     outputs = (CameraOutput.DEPTH, CameraOutput.FLOW, CameraOutput.IDS)
     size = {"width": 4 * camera.width, "height": 4 * camera.height}
     lens = camera.model_copy(update={"rate_hz": 5.0, "outputs": outputs, "depth": DepthKind.RADIAL, **size})
@@ -172,7 +172,7 @@ def test_an_episode_without_a_rig_and_an_unknown_sensor_are_refused(recordings: 
 def test_the_sheet_of_a_rig_has_a_row_for_each_camera_and_lidar(data: Dataset):
     with data[0].path.open("rb") as file:
         sheet = draw_rig_sheet(EpisodeBundle(file, data.root), RIG, columns=2)
-    assert sheet.size == (6 * 240, 4 * 20 + 160 + 240 + 120 + 240)  # flow and normals of the first camera
+    assert sheet.size == (6 * 240, 4 * 20 + 160 + 240 + 120 + 240)  # the first camera also has flow and normals
     scan = np.asarray(sheet)[-240:, :480].reshape(240, 2, 240, 3)
     assert ((scan != 255).any(axis=(0, 2, 3))).all()
     assert len(np.unique(np.asarray(sheet.convert("L")))) > 20

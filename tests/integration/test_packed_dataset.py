@@ -1,4 +1,4 @@
-"""A packed states dataset, from its ledger to its readers: packing by range, verification, repair and reading."""
+"""A packed states dataset: packing by ranges of the ledger, verification, repair and reading."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def validator() -> Iterator[Validator]:
 
 @pytest.fixture
 def run(tmp_path: Path) -> ArchivedRun:
-    """A finished states run, not packed."""
+    """A finished run of states whose episodes are not packed yet."""
     return ArchivedRun(tmp_path / "out", EPISODES, EPISODES, record=Recording.STATES)
 
 
@@ -78,7 +78,7 @@ def mend(run: ArchivedRun, validator: Validator) -> RepairReport:
 
 
 def findings(root: Path, *, deep: bool = False) -> list[tuple[Kind, str]]:
-    """Returns the findings that do not concern the scene, whose package is synthetic."""
+    """Returns the findings except those on the scene, whose package is not valid."""
     found = verify(root, deep).findings
     return [(finding.kind, finding.file) for finding in found if not finding.file.startswith("scenes/")]
 
@@ -209,7 +209,7 @@ def test_the_command_packs_an_existing_dataset(run: ArchivedRun, capsys: pytest.
     poses = [episode.poses for episode in Dataset(run.root)]
     shutil.copytree(run.root, run.root.with_name("without ledger"), ignore=shutil.ignore_patterns("ledger*"))
     for root in (run.root, run.root.with_name("without ledger")):
-        for packed_now in (EPISODES, 0):  # the second call finds nothing to do
+        for packed_now in (EPISODES, 0):  # the second call has nothing to do
             cli.main(["pack", str(root), "--json"], standalone_mode=False)
             assert json.loads(capsys.readouterr().out) == {
                 "dataset": str(root),

@@ -1,7 +1,7 @@
-"""Packing under kill -9 at every step that changes a file or an object: each episode is stored once, with its bytes.
+"""Kills the packing process at every step that changes a file or an object: no episode is lost, changed or duplicated.
 
-In a directory, the killed process counts its file operations with an audit hook, which kills it before the n-th. In
-object storage, a relay kills it at a stage of a request.
+In a directory, an audit hook in the process counts the file operations and kills the process before the n-th operation.
+With object storage, a relay kills the process at a stage of a request.
 """
 
 from __future__ import annotations
@@ -64,12 +64,12 @@ _PACK = "archive.pack(digests, 1, 10); archive.write_shard_index()"
 
 
 def kill_at_each_step(folder: Path, template: Path, work: str) -> int:
-    """Runs the work on copies of a directory, killed before a later operation each time; returns their number."""
+    """Runs `work` on copies of a directory, killed at another operation each time; returns the number of copies."""
     command = script(_KILLED_AT_EACH_STEP.format(digests=DIGESTS, work=work), template, folder)
     folder.mkdir()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return int(done.stdout.splitlines()[-1])  # log lines precede it
+    return int(done.stdout.splitlines()[-1])  # the lines before it are log lines
 
 
 def contents(root: Place) -> dict[int, bytes]:

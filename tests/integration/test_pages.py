@@ -1,4 +1,4 @@
-"""Both pages in Chromium: axe finds no violation, no content is clipped, and videos can be paused."""
+"""The report and the evaluation page in Chromium: axe finds no violation, nothing is clipped, videos can be paused."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ async film => {
 
 
 def write_evaluation(folder: Path) -> str:
-    """An incomplete evaluation with a failing policy, ablated instructions and a video."""
+    """Writes the page of an incomplete evaluation with a failing policy, ablated instructions and a video."""
     evaluation = evaluation_of("expert", _LONG)
     raised = result_of(1, success=False, end=EvalEnd.POLICY_RAISED, detail="ValueError: " + "x" * 200)
     note = PolicyNote(policy="m:P", knows="camera", reads_instruction=True, renderer="", software={})

@@ -1,4 +1,4 @@
-"""Planned episodes with verified instructions: simulated, validated and compared with the scene, and false premises."""
+"""Planned episodes with verified instructions and false premises: simulated, validated and compared with the scene."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ def test_a_planner_that_must_show_the_target_stops_with_it_ahead():
     scene = box_room([WALL])
     job = planner_job(scene, demonstration=DemonstrationConfig(target_in_view=True))
     done = drive_from(scene, (-1.0, 0.0, 2.8), demonstration=job.demonstration)
-    assert done.end_reason is EndReason.NOT_IN_VIEW, done.end  # the empty renderer shows nothing
+    assert done.end_reason is EndReason.NOT_IN_VIEW, done.end  # the images of the renderer are empty
     x, y = done.arrays.poses[-1, :2].tolist()
     bearing = np.arctan2(1.3 - y, 2.5 - x)
     assert abs(np.remainder(bearing - float(yaw_of(done.arrays.poses)[-1]) + np.pi, 2 * np.pi) - np.pi) < 0.7
@@ -134,7 +134,7 @@ def test_a_drive_by_surface_stops_a_metre_from_the_footprint():
 
 
 def test_a_contact_beyond_the_limit_ends_the_attempt_and_is_only_counted_without_limit():
-    plank = Box((-2.6, 0.245, 0.0), (-1.0, 0.4, 0.6))  # overlaps the robot by 5 mm; it is not on the map of the planner
+    plank = Box((-2.6, 0.245, 0.0), (-1.0, 0.4, 0.6))  # overlaps the robot's path by 5 mm; the planner's map omits it
     scene, start, known = box_room([plank]), (-2.0, 0.0, 0.0), Grid.from_scene(box_room())
     free = drive_from(scene, start, known)
     assert free.contact_steps > 0

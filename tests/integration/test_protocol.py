@@ -94,7 +94,7 @@ def test_small_bundles_that_wait_together_are_fetched_in_one_request(tmp_path):
         WireWorker(hub.endpoints, hub.run) as worker,
     ):
         jobs = [worker.job() for _ in range(5)]
-        for job, lease in jobs:  # the start of the validating process delays the only puller at the first bundle
+        for job, lease in jobs:  # they wait while the first bundle starts the validating process
             assert worker.deliver(lease, bundle_for(job))
         until(lambda: hub.progress().jobs["archived"] == 5)
     assert sum(worker.served_together) == 5
@@ -218,7 +218,7 @@ def test_the_drain_command_ends_the_workers(worker, tmp_path):
     done = CliRunner().invoke(jobs, ["drain", str(tmp_path / "out")], standalone_mode=False)
     assert done.exception is None
     said = f"the workers of {tmp_path / 'out'} finish their current jobs and exit"
-    assert " ".join(done.output.split()).endswith(said)  # after the log of the coordinator
+    assert " ".join(done.output.split()).endswith(said)  # the output starts with log lines of the coordinator
     assert worker.beat().drain
 
 
@@ -257,7 +257,7 @@ def test_a_worker_of_another_version_is_refused_by_name(worker):
 
 def test_a_heartbeat_reply_lists_bundles_that_need_no_further_announcement(worker):
     _, lease = worker.job()
-    worker.is_frozen = True  # so that the bundle stays announced
+    worker.is_frozen = True  # the bundle cannot be pulled and stays announced
     worker.deliver(lease, b"x")
     reply = worker.beat()
     assert (reply.waiting, reply.drop) == ((lease,), ())

@@ -1,4 +1,4 @@
-"""Messages of clients that cannot connect to a coordinator, and addresses that clients read from a file."""
+"""Error messages of clients that cannot reach a coordinator, and addresses that clients read from a file."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from tests.builders.ledger import room_catalog, room_plan
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A separate disk; requires root."""
+    """A small disk that tests can remount read-only; requires root."""
     path = tmp_path / "disk"
     path.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", "size=8m", "small", str(path)]
@@ -50,7 +50,7 @@ def test_an_unreadable_write_ahead_log_is_not_ignored(disk: Path) -> None:
     writer.execute("PRAGMA journal_mode=WAL")
     writer.execute("CREATE TABLE info (key, value)")
     writer.commit()
-    killed = disk / "killed"  # state after a kill: the log exists without its index
+    killed = disk / "killed"  # as after a kill: the write-ahead log exists without its index file
     killed.mkdir()
     for name in ("ledger.db", "ledger.db-wal"):
         shutil.copy(disk / name, killed / name)

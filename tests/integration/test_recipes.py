@@ -1,4 +1,4 @@
-"""The recipes of docs/recipes run unchanged: fine-tuning on tokens with a tiny model, and vla-eval's benchmark."""
+"""Runs the recipes of docs/recipes unchanged: fine-tuning of a tiny model on tokens, and the benchmark for vla-eval."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from tests.builders.needs_torch import needs_torch
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
 INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
 needs_vla_eval = pytest.mark.skipif(
-    importlib.util.find_spec("vla_eval") is None, reason="no vla_eval: pip install vla-eval; make test-train does"
+    importlib.util.find_spec("vla_eval") is None, reason="needs vla_eval: pip install vla-eval or make test-train"
 )
 
 
 @pytest.fixture
 def recipes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes the recipes importable, as in their folder."""
+    """Adds the folder of the recipes to the search path, so that tests can import them."""
     monkeypatch.syspath_prepend(str(RECIPES))
 
 
@@ -79,7 +79,7 @@ def test_tokens_replace_the_last_entries_of_the_vocabulary(recipes: None) -> Non
 
 
 class Straight:
-    """Connection of a runner that answers every observation with driving straight ahead."""
+    """Connection of vla-eval's runner to a policy that always drives straight ahead."""
 
     def __init__(self) -> None:
         self.heard: list[dict[str, Any]] = []

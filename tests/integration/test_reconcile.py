@@ -33,7 +33,7 @@ def validator() -> Iterator[Validator]:
 
 
 class Scene:
-    """A ledger and an archive between two runs of a coordinator."""
+    """A ledger and an archive in the state between two starts of a coordinator."""
 
     def __init__(self, home: Path, validator: Validator, store: ObjectPath | None = None) -> None:
         self.timed_ledger = TimedLedger()
@@ -55,7 +55,7 @@ class Scene:
         return lease, bundle
 
     def lay(self, name: str, data: bytes) -> Place:
-        """Writes a file among the episodes, as after a crash."""
+        """Writes a file into the folder of the episodes, as a crashed coordinator may have left it."""
         path = self.root / "episodes" / name
         if isinstance(path, ObjectPath):
             path.objects.put(path.key, data)

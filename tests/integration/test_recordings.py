@@ -1,4 +1,4 @@
-"""Recordings of frames and of states: equal drives, equal metadata, and digests of the same frames."""
+"""Recordings of frames and of states have equal drives, equal metadata and equal frame digests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PACKAGE = encode_scene(box_room())
 SHA256 = hashlib.sha256(PACKAGE).hexdigest()
 TARGET = box_room().info.targets[0]
 SLOW_ROBOT = RobotConfig(physics_substeps=16, max_braking_mps2=4.0)
-"""Robot in the usual physics steps at 15 control steps per second."""
+"""Robot for 15 control steps per second; the physics step has its usual length."""
 
 
 class Renderings:
@@ -62,7 +62,7 @@ def job_in_room(record: Recording, index: int, expert: ExpertName) -> Job:
         "target_id": TARGET.target_id,
         "instruction": instruction("train_01", TARGET.category, "red"),
     }
-    # fewer frames per drive, but one drive at the rate of the paper
+    # 15 Hz for fewer frames; only the first drive has the rate of the paper
     rate = {"task": TaskConfig()} if index == 1 else {"task": TaskConfig(control_hz=15), "robot": SLOW_ROBOT}
     return job_for(index, record=record, expert=expert, **values, **rate)
 

@@ -1,4 +1,4 @@
-"""`factory render` with both datasets in object storage."""
+"""`factory render` with the states dataset and the rendered dataset in object storage."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ def test_a_renderer_that_gives_other_frames_is_refused(recordings: Recordings, s
     recorded = BundleReader(io.BytesIO((recordings[Recording.STATES] / "episodes/ep_000001.zip").read_bytes()))
     file = io.BytesIO()
     writer = BundleWriter(file)
-    for _ in recorded.meta.frame_digests:  # the digests of another renderer
+    for _ in recorded.meta.frame_digests:  # digests of frames that no renderer gives
         writer.add_digest(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), np.zeros((4, 4), np.uint16))
     writer.finish(recorded.arrays, recorded.meta)
     with stage, pytest.raises(WorldError, match="frame 0 differs from the recorded digest; recorded with"):

@@ -1,4 +1,4 @@
-"""`factory coordinator start --states`: workers of any host render a states dataset."""
+"""`factory coordinator start --states`: workers on any host can render a states dataset."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""`factory render` with noise and appearance after kill -9 of a worker and of the coordinator, and with two workers.
+"""`factory render` with noise and appearance, with kills of a worker and of the coordinator, and with two workers.
 
-No episode is lost or rendered twice, and the digest is that of one worker without kills.
+No episode is lost or rendered twice. The dataset digest equals the digest of a run with one worker and without kills.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def query(out: Path, text: str) -> list[tuple[object, ...]]:
     try:
         with closing(sqlite3.connect(f"file:{out / 'ledger.db'}?mode=ro", uri=True)) as ledger:
             return ledger.execute(text).fetchall()
-    except sqlite3.OperationalError:  # not written yet
+    except sqlite3.OperationalError:  # the ledger is not written yet
         return []
 
 
 def is_worker(pid: int) -> bool:
-    """Whether a process forked for a command is a worker."""
+    """Returns whether a child process of a command is a worker."""
     return Path(f"/proc/{pid}/comm").read_text() == "worker\n"
 
 

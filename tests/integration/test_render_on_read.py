@@ -100,7 +100,7 @@ def render_here_and_there(frames: Dataset, states: Dataset, method: str) -> None
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context(method)) as pool:
         found = pool.submit(depth_of, states[1], 4).result()
     assert np.array_equal(found, frames[1].depth(4))
-    assert np.array_equal(states[1].depth(4), found)  # the rendering process of this process still serves
+    assert np.array_equal(states[1].depth(4), found)  # this process can still render
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])

@@ -1,4 +1,4 @@
-"""Frames of a training on a states dataset: rendered in memory, equal to those of a frames dataset, never on disk."""
+"""Training on a states dataset: frames are rendered in memory, are not stored, and equal those of a frames dataset."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_rendered_frames_equal_those_of_stored_frames(
 ) -> None:
     found = rendered(recordings[Recording.STATES], memory_bytes=memory_bytes)
     rows = np.random.default_rng(0).permutation(len(stored))
-    for _ in range(2):  # the second time, frames that fit into the memory are not rendered
+    for _ in range(2):  # in the second pass, frames in the memory cache are not rendered again
         for one, other in zip(taken(stored.pictures, rows), taken(found.pictures, rows), strict=True):
             assert one.dtype == other.dtype
             assert np.array_equal(one, other)

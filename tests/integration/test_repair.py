@@ -51,7 +51,7 @@ def flip(path: Path) -> None:
 
 
 def flip_thumbnail(table: Path) -> None:
-    """Flips a bit in the pages of the thumbnails; Parquet has checksums of pages only, not of its footer."""
+    """Flips a bit in a page of the thumbnails, because Parquet has checksums of pages, but not of the footer."""
     group = pq.read_metadata(table).row_group(0)
     columns = {group.column(place).path_in_schema: group.column(place) for place in range(group.num_columns)}
     pictures = columns["thumbnail.bytes"]

@@ -131,7 +131,7 @@ def test_another_rig_does_not_continue_a_dataset(rigged: Path, recordings: Recor
 
 
 def test_older_software_refuses_a_dataset_with_a_rig_by_its_format(rigged: Path) -> None:
-    # versions without rigs compare this number with 1 before they read other fields
+    # versions of the software without rigs refuse a dataset if this number is not 1
     assert json.loads((rigged / META_FILE).read_text())["format"] == 2
 
 

@@ -207,7 +207,7 @@ def test_webdataset_reads_a_member_of_each_sensor(exports: dict[str, Path], epis
         assert sample["sum"] == pytest.approx(float(seen(episode, "cloud", latest(CLOUD, t)).ranges.sum()))
         for name in ("imu", "wheels"):
             steps[name] += sample["json"][f"{name}.motion.json"]["steps"]
-    assert steps["wheels"] == list(range((len(samples) - 1) * STRIDE + 1))  # every measurement, once
+    assert steps["wheels"] == list(range((len(samples) - 1) * STRIDE + 1))  # each measurement occurs once
     assert steps["imu"] == list(range(0, (len(samples) - 1) * STRIDE + 1, 2))
     last = samples[-1]["json"]["wheels.motion.json"]
     assert last["ticks"] == motion["wheels"].ticks[last["steps"]].tolist()
@@ -243,7 +243,7 @@ def test_the_paper_layout_has_a_folder_for_each_sensor(exports: dict[str, Path],
 
 
 def test_the_intrinsics_in_rig_json_are_those_of_opencv(exports: dict[str, Path], episode: Episode) -> None:
-    """The points of the cloud, projected by OpenCV, hit pixels with their distance."""
+    """OpenCV projects the lidar points into an image; the depth there must equal the distance of the points."""
     sensors = {one["name"]: one for one in json.loads((exports["paper"] / "rig.json").read_text())["sensors"]}
     points = points_of(seen(episode, "cloud", 0), CLOUD)
     base = rotation_of(sensors["cloud"]["pose"]).apply(points) + sensors["cloud"]["pose"][:3]

@@ -52,7 +52,7 @@ def episode(root: Path) -> Episode:
 
 @pytest.fixture(scope="module")
 def ros2(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The MCAP file of the command line, for ROS 2, with the rig as a file."""
+    """An MCAP file for ROS 2, exported by the command line with a rig from a file."""
     place = tmp_path_factory.mktemp("ros2")
     (place / "all.toml").write_text(tomli_w.dumps(RIG.model_dump(mode="json", exclude_none=True)))
     words = ["--to", "mcap", "--ros2", "--episode", "1", "--rig", str(place / "all.toml"), "--workers", "1"]
@@ -63,7 +63,7 @@ def ros2(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def foxglove(root: Path, tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
-    """The decoded messages of the Foxglove file by topic with their steps, its schemas and attachments."""
+    """The content of an MCAP file for Foxglove: (step, message) pairs by topic, schemas by topic, and attachments."""
     found: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     schemas = {}
     out = export_rig(root, tmp_path_factory.mktemp("mcap") / "out", "mcap", **FORMATS["mcap"])
@@ -95,7 +95,7 @@ def test_mcap_has_every_sensor_at_its_rate(foxglove: SimpleNamespace, episode: E
     for sensor in RIG.sensors:
         stride = sensor.stride(CONTROL_HZ)
         if sensor in (FRONT, EYE, AROUND):
-            stride = np.lcm(stride, STRIDE)  # --fps thins out images only
+            stride = np.lcm(stride, STRIDE)  # `fps` reduces the rate of images only
         steps = list(range(0, len(episode), stride))
         for topic in (topic for topic in expected if topic.startswith(f"/{sensor.name}/")):
             assert [t for t, _ in foxglove.topics[topic]] == steps
@@ -133,7 +133,7 @@ def moved(transform: Any, names: tuple[str, str]) -> tuple[np.ndarray, Rotation]
 
 
 def in_frame(points: np.ndarray, frames: dict[str, Any], source: str, target: str) -> np.ndarray:
-    """Moves points up from a frame to base_link, and down to another one, by the transforms of the file."""
+    """Transforms points from a frame to base_link and then to another frame, by the transforms of the file."""
 
     def chain(frame: str) -> list[Any]:
         return [] if frame == "base_link" else [frames[frame], *chain(frames[frame][0])]

@@ -55,7 +55,7 @@ def out(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(path: Path) -> tuple[Bag, dict[str, Any]]:
-    """Returns the messages by topic with their times, and the connections by topic."""
+    """Returns (time, message) pairs by topic, and the connection of each topic."""
     found: Bag = defaultdict(list)
     with AnyReader([path]) as reader:
         for connection, stamp, raw in reader.messages():

@@ -18,7 +18,7 @@ WORLD = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "aws_small_w
 MAP_ORIGIN_M = (-7.0, -10.5)
 OCCUPIED_GRAY = 255 * 0.35  # map.yaml: occupied_thresh 0.65
 
-pytestmark = pytest.mark.skipif(not WORLD.is_dir(), reason="the AWS world is not beside this checkout")
+pytestmark = pytest.mark.skipif(not WORLD.is_dir(), reason="the AWS world is not in ../shared/scenes")
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +27,14 @@ def warehouse() -> CompiledScene:
 
 
 def slam_points() -> np.ndarray:
-    """Centres (N, 2) of the cells that the SLAM map calls occupied, metres."""
+    """Returns the (N, 2) centres of the occupied cells of the SLAM map, metres."""
     picture = np.flipud(np.asarray(Image.open(WORLD / "maps" / "map_rotated.png").convert("L")))
     cells = np.argwhere(picture < OCCUPIED_GRAY)
     return (cells[:, ::-1] + 0.5) * 0.05 + MAP_ORIGIN_M
 
 
 def share_explained(grid: Grid, points: np.ndarray, yaw: float, shift: np.ndarray) -> float:
-    """Share of the points within 0.10 m of an occupied cell after a rigid transform."""
+    """Returns the share of the points within 0.10 m of an occupied cell after a rigid transform."""
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     distance = distance_transform_edt(grid.occupancy == 0) * grid.resolution_m
     return float((grid.values_at(distance, points @ turn.T + shift, 9.0) <= 0.10).mean())

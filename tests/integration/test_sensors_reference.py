@@ -61,7 +61,7 @@ def scene(request: pytest.FixtureRequest, shared: Path, cache: Path) -> Compiled
 
 
 def starts(scene: CompiledScene, count: int) -> Floats:
-    """Poses (count, 7) at surveyed floor points with random headings."""
+    """Returns (count, 7) poses at surveyed floor points with random headings."""
     rng = np.random.default_rng(5)
     points = scene.spawns[rng.choice(len(scene.spawns), count, replace=False)]
     yaw, zero = rng.uniform(-math.pi, math.pi, count), np.zeros(count)
@@ -71,7 +71,7 @@ def starts(scene: CompiledScene, count: int) -> Floats:
 
 @contextmanager
 def bullet_with(triangles: NDArray[np.float32]) -> Iterator[int]:
-    """A PyBullet client with a static mesh of triangles (N, 3, 3)."""
+    """Yields a PyBullet client with a static mesh of (N, 3, 3) triangles."""
     client = pybullet.connect(pybullet.DIRECT)
     corners = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
     for piece in mesh_lists(triangles.reshape(-1, 3), corners):
@@ -88,7 +88,7 @@ def bullet_with(triangles: NDArray[np.float32]) -> Iterator[int]:
 
 
 def facing(triangles: NDArray[np.float32], eye: Floats) -> NDArray[np.float32]:
-    """Returns the triangles whose front side faces a point; a renderer draws only these."""
+    """Returns the triangles whose front side faces a point, because a renderer draws no other triangles."""
     a, b, c = triangles.astype(np.float64).transpose(1, 0, 2)
     return triangles[(np.cross(b - a, c - a) * (eye - a)).sum(axis=1) > 0]
 
@@ -104,7 +104,7 @@ def bullet_ranges(client: int, origins: Floats, directions: Floats, reach: float
 
 
 def test_a_lidar_without_noise_agrees_with_pybullets_ray_test_on_the_drawn_triangles(scene: CompiledScene) -> None:
-    """The reference has the drawn triangles, because the collider of a scene is coarser and has no floor."""
+    """PyBullet gets the triangles that the renderer draws, because a scene's collider is coarser and has no floor."""
     rays, triangles, agree = SceneRays(scene), scene.positions.reshape(-1, 3, 3), []
     for pose in starts(scene, 4)[:, None]:
         origins, rotations = sensor_poses(pose, VLP16.mount)
@@ -144,7 +144,7 @@ def test_rays_through_pixels_meet_what_the_renderer_draws_there(
 def test_opencvs_stereo_matcher_gives_the_depth_of_the_pair_of_nova_carter_within_its_expected_error(
     scene: CompiledScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An error of s pixels in the disparity is one of d^2 s / (f b) in the depth d (Khoshelham and Elberink 2012)."""
+    """An error of s pixels in the disparity changes the depth d by d^2 s / (f b) (Khoshelham and Elberink 2012)."""
     monkeypatch.setenv("LP_NUM_THREADS", "0")
     left, right = load_rig("nova-carter").cameras[:2]
     focal, baseline = left.focal_px[0], left.mount.y_m - right.mount.y_m
@@ -166,11 +166,11 @@ def test_opencvs_stereo_matcher_gives_the_depth_of_the_pair_of_nova_carter_withi
     sys.stdout.write(f"{scene.info.name}: SGBM on {len(error)} pixels, error {told}\n")
     assert len(error) > 50_000
     assert np.median(error) < 0.6
-    assert np.quantile(error, 0.68) < 1  # repeated shelves have 0.73, other scenes at most 0.46
+    assert np.quantile(error, 0.68) < 1  # measured: 0.73 with repeated shelves, at most 0.46 in other scenes
 
 
 def test_encoder_ticks_follow_the_wheel_joints_of_pybullet() -> None:
-    """The joints turn as commanded although the robot slips, so that it drives less far than its wheels roll."""
+    """The wheel joints turn as commanded even when the wheels slip and the robot drives less far than they roll."""
     robot, command = RobotConfig(), Twist(0.0, 0.0)
     wanted = [Twist(0.7, 0.0)] * 60 + [Twist(0.6, 0.8)] * 90 + [Twist(0.0, -1.2)] * 60 + [Twist(1.0, 0.0)] * 90
     scene = box_room()

@@ -1,4 +1,4 @@
-"""Rendering processes of a reader: scenes that they keep, threads, and their death."""
+"""Rendering processes of a reader: the scenes that they keep loaded, use from several threads, and killed processes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.gl
 
 @pytest.fixture
 def many_scenes(tmp_path: Path) -> list[ScenePackage]:
-    """Packages of eight scenes that differ in their name only."""
+    """Packages of eight scenes that differ only in their names."""
     (tmp_path / SCENES).mkdir()
     made = []
     for number in range(8):

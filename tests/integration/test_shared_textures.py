@@ -1,4 +1,4 @@
-"""The textures that layouts share, in everything that copies, lists, checks or repairs the packages of a dataset."""
+"""Textures shared by layouts, in all functions that copy, list, check or repair the packages of a dataset."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FOREIGN = texture_file("a" * 64)
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Returns the dataset of a run with two layouts and no episode; the cache can build both again."""
+    """Returns the dataset of a run with two layouts and no episode; both layouts are also in the scene cache."""
     monkeypatch.setenv("MINIVLA_CACHE", str(tmp_path))
     for layout, seed in ((FIRST, 5), (SECOND, 6)):
         make_layout(layout).write(package_path("office", seed, tmp_path / "scenes", called=layout))
@@ -87,7 +87,7 @@ def test_repair_restores_textures_from_a_layout_that_is_built_again(
     for path in before:
         harm(path)
     given = inspect_dataset(run, run, None, None, tmp_path / "scenes", lambda _: None)
-    assert list(given.scenes) == [FIRST]  # the layouts share all textures
+    assert list(given.scenes) == [FIRST]  # one layout is enough, because the layouts share all textures
     with Validator() as checker:
         repair(given, checker, datetime.now(UTC), apply=True)
     assert {path: path.read_bytes() for path in textures(run)} == before

@@ -1,4 +1,4 @@
-"""The real simulation process: its reports, and its end with its supervisor."""
+"""The real simulation process: its reports, and its exit when its supervisor ends."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def order_in(room: Path, folder: Path, **changes: object) -> SimulationOrder:
 
 
 def wait_for_report(simulation: Simulation, *kinds: SimulationReportKind) -> SimulationReport:
-    """Waits for a report of one of the kinds and ignores others."""
+    """Waits for a report of one of the kinds and returns it; ignores reports of other kinds."""
     while True:
         report = simulation.receive(0.2)
         assert not isinstance(report, ProcessEnd), report

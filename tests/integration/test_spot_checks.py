@@ -32,7 +32,7 @@ EPISODES = 3
 
 
 def forged_for(job: Job) -> bytes:
-    """Returns a bundle whose digests agree with its frames, and one of whose frames shows an unknown id."""
+    """Returns a bundle with an unknown instance ID in one frame; all digests agree with the frames."""
     parts = parts_for(job)
     rgb, depth, ids = parts.frames[5]
     wrong = ids.copy()
@@ -74,7 +74,7 @@ def test_a_host_with_a_false_claim_is_barred_and_its_invalid_episodes_are_genera
             assert false_peer.deliver(lease, make(job), is_validated=True)
             until(lambda number=number: archived(coordinator) == number)  # type: ignore[misc]
         accepted = unchecked(tmp_path)
-        assert len(accepted) == 1  # the first bundle of a host is validated completely
+        assert len(accepted) == 1  # except the first bundle of the host, which is always validated completely
     with (
         started(tmp_path, 0.0) as coordinator,
         WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,

@@ -1,4 +1,4 @@
-"""Starts that show only the object that the instruction means: drawn by the worker, checked by validation."""
+"""Start views without other objects that fit the instruction: the worker draws such starts, validation checks them."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_an_attempt_without_such_a_start_fails_with_the_reason_spawn(stage):
 
 
 class _PartsOnly:
-    """Renderer that renders single instances only."""
+    """Renderer that can only render single instances."""
 
     def __init__(self, renderer: PartialRenderer) -> None:
         self.render_instance, self.count_within = renderer.render_instance, renderer.count_within

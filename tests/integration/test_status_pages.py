@@ -145,7 +145,7 @@ def connected(server: StatusServer) -> socket.socket:
 
 
 def drip(client: socket.socket, text: bytes, most: int) -> int:
-    """Sends one byte every 0.25 s until the server closes the connection; returns the number of bytes."""
+    """Sends one byte every 0.25 s until the server closes the connection, at most `most`; returns the number sent."""
     client.settimeout(0.25)
     for sent in range(most):
         try:
@@ -186,7 +186,7 @@ def test_clients_that_send_one_byte_a_second_do_not_block_others(server):
     clients = [connected(server) for _ in range(300)]
     for _ in range(5):
         for client in clients:
-            with contextlib.suppress(OSError):  # the oldest connections were closed
+            with contextlib.suppress(OSError):  # the server may have closed the oldest connections
                 client.sendall(b"G")
         assert ask(server, "/healthz") == (200, "ok\n")
         assert ask(server, "/metrics")[0] == 200
@@ -200,7 +200,7 @@ def test_an_endless_first_line_is_cut_off(server):
         with contextlib.suppress(OSError):
             endless.sendall(b"GET /" + b"a" * 10_000_000)
         assert ask(server, "/healthz") == (200, "ok\n")
-        with contextlib.suppress(ConnectionResetError):  # closed with unread bytes
+        with contextlib.suppress(ConnectionResetError):  # if the server closed it with unread bytes
             assert not endless.recv(100).startswith(b"HTTP/1.1 200")
 
 

@@ -1,4 +1,4 @@
-"""The tables in row groups: copying the groups of the former table gives the bytes of a new table."""
+"""Tables in row groups: copying unchanged groups of the previous table gives the same bytes as writing a new table."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FILES = ("metadata.parquet", "attempts.parquet", "README.md", "dataset_meta.json
 
 
 class Watched(ListedRows):
-    """Counts the rows that are read."""
+    """Rows that count how many of them are read."""
 
     read = 0
 

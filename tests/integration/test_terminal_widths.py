@@ -1,4 +1,4 @@
-"""Output of commands on a real terminal of 60, 80 and 120 columns: no line is wider, and no name is broken."""
+"""Output of commands on a pseudo-terminal of 60, 80 and 120 columns: no line is wider, and no name is broken."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ for columns, words in json.loads(sys.argv[1]):
 
 
 def on_terminal(calls: list[tuple[int, list[str]]]) -> list[str]:
-    """Returns the output of commands of `factory` on a terminal, each with its number of columns, without colours."""
+    """Runs (columns, arguments) calls of `factory` on a terminal of that width; returns the outputs without colours."""
     child, terminal = pty.fork()
     if child == 0:
         environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"TERM": "xterm"}
@@ -48,7 +48,7 @@ def on_terminal(calls: list[tuple[int, list[str]]]) -> list[str]:
     try:
         while data := os.read(terminal, 1 << 16):
             told += data
-    except OSError:  # Linux reports the closed other end this way
+    except OSError:  # on Linux, the other end was closed
         pass
     os.close(terminal)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, told
@@ -69,7 +69,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def texts(places: dict[str, str]) -> dict[tuple[tuple[str, ...], int], str]:
-    """Outputs by command and width, of one process, because its imports take most of the time."""
+    """Outputs by command and width; one process runs all commands, because its imports take most of the time."""
     asked = [(words, columns) for words in COMMANDS for columns in WIDTHS]
     calls = [(columns, [places.get(word, word) for word in words]) for words, columns in asked]
     return dict(zip(asked, on_terminal(calls), strict=True))

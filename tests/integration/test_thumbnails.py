@@ -42,7 +42,7 @@ def test_rendered_thumbnails_equal_those_of_a_frames_dataset(copied: Path, frame
     assert not lacks_thumbnails(copied)
     assert list(find_faults(copied, deep=True)) == []
     (table,) = (copied / "data").glob("*.parquet")
-    pq.write_table(pq.read_table(table).replace_schema_metadata(None), table)  # outdated: written again
+    pq.write_table(pq.read_table(table).replace_schema_metadata(None), table)  # outdated, and therefore written again
     with DirectoryArchive(copied) as archive:
         write_split_tables(archive)
     assert thumbnails_of(copied) == thumbnails_of(frames)

@@ -1,4 +1,4 @@
-"""mTLS and access control over zenoh on loopback: admitted clients work, requests of others are refused."""
+"""mTLS and access control over zenoh on loopback: admitted clients can work, requests of other clients are refused."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Another authority with the same names."""
+    """Another authority whose hosts have the same names."""
     return make_authority(tmp_path_factory.mktemp("foreign") / "pki", ("node",), ("admin",))
 
 
@@ -185,7 +185,7 @@ def test_a_host_cannot_read_bundles_of_another(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
         honest.hello(version("minivla-factory"))
         _, lease = honest.job()
-        honest.is_frozen = True  # also from the coordinator, so that the bundle stays
+        honest.is_frozen = True  # not even the coordinator can pull the bundle, so that it remains in the spool
         honest.deliver(lease, b"secret" * 100)
         honest.is_frozen = False
         where = f"?job={lease.job_id};fence={lease.fence};off=0;n=10"
@@ -233,7 +233,7 @@ def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_
         )
     with pytest.raises(TransientError, match=r"hosts\.txt"):
         ask_progress(hub.endpoints, "stranger", files)
-    with pytest.raises(TransientError, match="no coordinator at"):  # none is reachable without a certificate
+    with pytest.raises(TransientError, match="no coordinator at"):  # not reachable without a certificate
         administer(tmp_path / "out", request, datetime.now(UTC))
 
 

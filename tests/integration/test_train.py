@@ -32,7 +32,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::F
 
 @pytest.fixture(autouse=True)
 def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small networks are slower with threads, above all on a busy machine."""
+    """Limits PyTorch to one thread, because small networks are slower with several, above all on a busy machine."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     if importlib.util.find_spec("torch") is not None:
         import torch
@@ -52,7 +52,7 @@ def options(**changes: Any) -> BcOptions:
 
 
 def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99) -> list[float]:
-    """Trains for some epochs and returns the losses of all epochs."""
+    """Trains until the end or for `stop_after` epochs; returns the losses of all epochs of the report."""
     seen: list[int] = []
     watcher = TrainCallbacks(
         caching=lambda _done, _of: None,
@@ -205,7 +205,7 @@ def test_a_file_that_is_not_a_checkpoint_is_refused_before_loading(tmp_path: Pat
 
 
 class WritesOnUnpickling:
-    """Writes a file when unpickled."""
+    """Object that writes a file when it is unpickled."""
 
     def __init__(self, file: Path) -> None:
         self._file = file

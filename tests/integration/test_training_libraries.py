@@ -73,7 +73,7 @@ def test_the_environment_passes_the_checker_of_stable_baselines(drives: Dataset,
 
     opened = make(drives, instruction=instruction, with_pose=True)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # it recommends other action ranges and flat depth images
+        warnings.simplefilter("ignore", UserWarning)  # the checker recommends other action ranges and image shapes
         check_env(opened.unwrapped)
     opened.close()
 

@@ -12,7 +12,7 @@ from workers.client.link import Link
 
 
 class InvalidReplier(FakeCoordinator):
-    """Answers every request with random bytes."""
+    """Answers every request with bytes that are not a message."""
 
     def _take(self, query: zenoh.Query) -> None:
         *_, host, name = str(query.key_expr).split("/")

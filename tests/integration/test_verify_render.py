@@ -37,7 +37,7 @@ def copy(recordings: Recordings, tmp_path: Path) -> Callable[[Recording], Path]:
 
 
 def rewrite(path: Path, brighter: int) -> None:
-    """Writes an episode again with one frame brighter by 1, or with a wrong digest of that frame."""
+    """Rewrites an episode: makes frame `brighter` brighter by 1, or, without frames, makes all frame digests wrong."""
     file = io.BytesIO()
     bundle, writer = BundleReader(io.BytesIO(path.read_bytes())), BundleWriter(file)
     if bundle.has_frames:
@@ -109,7 +109,7 @@ def test_the_distance_of_stored_frames_is_reported_by_channel(copy: Callable[[Re
 
 @pytest.fixture
 def tiny(server: ForkServer, cache: Path, tmp_path: Path) -> FactoryCli:
-    """The command line with another renderer."""
+    """The command line with PyBullet's TinyRenderer."""
     return FactoryCli(server, tmp_path, cache, {"MINIVLA_RENDERER": "tiny"})
 
 

@@ -44,7 +44,7 @@ _FILES = (
     *("/episodes/ep_000001/mask.svg", "/episodes/ep_000001/playback/0", "/episodes/ep_000001/download/zip"),
     *("/episodes/ep_000001/objects.json", "/scenes/{scene}/failures.svg", "/evaluations/results/films/0/ep_000001.jpg"),
 )
-"""Files that pages load later, after a click or for some datasets only."""
+"""Files that pages load only after a click, or only for some datasets."""
 _WIDTHS_PX = (360, 1400, 3840)
 _SHOWN = """
 async kind => {
@@ -102,7 +102,7 @@ def browser() -> Iterator[Any]:
 def tab(
     browser: Any, client: WebClient, width: int = 1280, scheme: str = "light", script: bool = True
 ) -> Iterator[Any]:
-    """Yields a page that is logged in; any message of the console is an error."""
+    """Yields a logged-in page; script errors and violations of the Content Security Policy fail the test."""
     viewport = {"width": width, "height": 900}
     context = browser.new_context(viewport=viewport, color_scheme=scheme, java_script_enabled=script)
     context.set_default_timeout(60_000)
@@ -122,7 +122,7 @@ def tab(
 def served(
     request, data, recordings, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[tuple[WebClient, Workspace]]:
-    """A page with all kinds of content, of a dataset of frames and of one of states."""
+    """The web page of a dataset with an evaluation; once for a dataset of frames and once for a dataset of states."""
     root: Path = data if request.param is Recording.FRAMES else recordings[request.param]
     results = write_evaluation(tmp_path_factory.mktemp("served") / "results", "ab")
     with web_page(root, evaluations=(results,)) as client:
@@ -154,7 +154,7 @@ def test_axe_finds_no_violation_on_any_page_and_every_route_was_visited(browser,
 
 
 def answers(route: Any, path: str) -> bool:
-    """Returns whether a route serves a path. A route of a form has no page; another test sends the form."""
+    """Returns whether a route serves a path or has no page, as the targets of forms, which another test covers."""
     scope = {"type": "http", "method": "GET", "path": path, "root_path": "", "headers": []}
     return route.matches(scope)[0] is Match.FULL or "GET" not in (getattr(route, "methods", None) or {"GET"})
 
@@ -281,7 +281,7 @@ def test_without_webgl_or_javascript_the_3d_page_refers_to_the_map(browser, clie
 def confirm(page: Any, url: str, action: str) -> None:
     """Opens an operation from the farm page, confirms it and returns to the farm page."""
     page.click(f"#operations >> text={action}")
-    page.wait_for_selector("form button")  # a click returns before its page is loaded
+    page.wait_for_selector("form button")  # the click returns before the new page is loaded
     for box in page.locator("form input[type=checkbox]").all():
         box.check()
     with page.expect_navigation():
@@ -307,7 +307,7 @@ def test_a_run_is_watched_until_it_ends_with_a_retried_episode_and_drained_worke
         assert worker.fail(lease, FailReason.TIMEOUT)
         job, lease = worker.job()
         assert worker.deliver(lease, bundle_for(job))
-        page.wait_for_selector("#live :text-is('1 of 2 episodes archived')")  # without loading the page again
+        page.wait_for_selector("#live :text-is('1 of 2 episodes archived')")  # the page updates itself
         confirm(page, client.url, "retry")
         job, lease = worker.job()
         assert worker.deliver(lease, bundle_for(job))

@@ -1,4 +1,4 @@
-"""Content of the web page beyond the table: evaluations, maps of failures, sub-instructions, downloads, the 3D view."""
+"""Content of the web page besides tables: evaluations, maps of failures, sub-instructions, downloads, the 3D view."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An evaluation of two policies; one failure of the first has a film."""
+    """An evaluation of two policies; one failure of the first policy has a film."""
     return write_evaluation(tmp_path_factory.mktemp("evaluation") / "results", POLICIES)
 
 
@@ -139,7 +139,7 @@ def test_the_3d_view_has_the_mesh_of_the_scene_and_the_trajectory(client, data):
     assert np.allclose(found, Dataset(data)["ep_000001"].poses[:, :2], atol=0.001)
     mesh = client.ask(re.search(r'data-scene="([^"]*)"', page)[1]).body
     assert struct.unpack_from("<4sII", mesh) == (b"glTF", 2, len(mesh))
-    assert "three.module" not in client.ask("/episodes/ep_000001").text  # only this page loads it
+    assert "three.module" not in client.ask("/episodes/ep_000001").text  # no other page loads this script
     assert client.ask("/scenes/office/3d").status == 200
     assert client.ask("/scenes/office/3d?episode=ep_000009").status == 404
     assert client.ask("/scenes/offic/scene.glb").status == 404
@@ -205,7 +205,7 @@ def test_layouts_that_are_not_built_are_named_and_their_builds_are_no_episodes(t
 
 
 def test_the_table_of_states_episodes_prepares_the_renderer_before_an_episode_is_opened(recordings, monkeypatch):
-    monkeypatch.setenv("MINIVLA_RENDERER", "auto")  # its rendering processes are those of no other test
+    monkeypatch.setenv("MINIVLA_RENDERER", "auto")  # other tests do not use the rendering processes of this renderer
     scene = Dataset(recordings[Recording.STATES])[0].package.sha256
     with web_page(recordings[Recording.STATES]) as client:
         client.ask("/")

@@ -30,7 +30,7 @@ from tests.builders.wire_worker import until
 
 
 def make_table(root: Path, rows: int) -> None:
-    """Writes a dataset of two episodes whose table repeats them."""
+    """Writes a dataset of two episodes, and a table that repeats their rows until it has `rows` rows."""
     make_dataset(root, 2)
     table = pq.read_table(root / "metadata.parquet")
     whole = table.take(pa.array(np.arange(rows) % len(table)))
@@ -48,7 +48,7 @@ def refuse(_request: AdminRequest) -> AdminReply:
 
 @contextmanager
 def page_with_slow_table(root: Path, may_read: threading.Event) -> Iterator[WebClient]:
-    """Serves a dataset whose table is not read before an event."""
+    """Serves a dataset; its table is not read before the event `may_read` is set."""
 
     def read() -> Dataset:
         may_read.wait(120)

@@ -1,4 +1,4 @@
-"""Figures of the statistics page: drawn in a separate process while the page answers, kept in the cache."""
+"""Figures of the statistics page: a separate process draws them while the page stays responsive; they are cached."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_the_page_answers_while_the_figures_are_drawn_and_the_next_server_shows_
         first = client.ask("/statistics")
         assert (first.status, "The figures are being drawn" in first.text) == (200, True)
         images = re.findall(r'<img src="(/statistics/[^"]+)"', wait_for_figures(client))
-        assert len(images) >= len(DRAW_FUNCTIONS) - 2  # no samples, and no failed attempts
+        assert len(images) >= len(DRAW_FUNCTIONS) - 2  # no figure of samples or failed attempts
         for path in images:
             assert client.ask(path).headers["content-type"].startswith("image/svg+xml"), path
         os.utime(data / "metadata.parquet")

@@ -31,12 +31,12 @@ def coordinator(*instructions: str) -> Iterator[FakeCoordinator]:
 def wait_until(holds: Callable[[], object], what: str) -> None:
     deadline = time.monotonic() + 30
     while not holds():
-        assert time.monotonic() < deadline, f"never came: {what}"
+        assert time.monotonic() < deadline, f"timed out waiting for {what}"
         time.sleep(0.02)
 
 
 def started(folder: Path) -> dict[int, int]:
-    """Returns the process of each job."""
+    """Returns the ID of the simulation process of each started job."""
     names = [path.name.split(".") for path in (folder / "started").iterdir()]
     return {int(job): int(pid) for job, pid in names}
 
@@ -85,7 +85,7 @@ def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
 
 def test_failure_whose_acknowledgement_was_lost_is_repeated(tmp_path):
     with FakeCoordinator(jobs_with_instructions("miss"), lease_ttl_s=60) as hub:
-        hub.dropped_replies |= {Verb.FAIL: 2, Verb.BEAT: 100}  # no heartbeat says that the lease has ended
+        hub.dropped_replies |= {Verb.FAIL: 2, Verb.BEAT: 100}  # no heartbeat reply reports the end of the lease
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             assert worker.join() == 0
         assert len({fail.lease for fail in hub.of(Fail)}) == 1
@@ -204,7 +204,7 @@ def test_further_signals_of_a_batch_system_do_not_shorten_the_drain(tmp_path, nu
 
 @pytest.fixture(params=[signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1])
 def number(request):
-    """Signal that ends a child process, also if the tests were started by nohup or in the background of a shell."""
+    """Signal that ends a child process; restores the default action, which nohup or a background shell may change."""
     before = signal.signal(request.param, signal.SIG_DFL)
     yield request.param
     signal.signal(request.param, before)
@@ -290,7 +290,7 @@ def test_full_spool_stops_claims_until_bundles_are_fetched(tmp_path):
 
 def test_a_worker_whose_spool_fills_up_does_not_wait_for_the_next_heartbeat(tmp_path):
     with (
-        # a heartbeat every 15 minutes
+        # with this lease, there is one heartbeat every 15 minutes
         FakeCoordinator(jobs_with_instructions(*["bundle"] * 12), lease_ttl_s=3600) as hub,
         WorkerThread(settings_for(hub.endpoint, tmp_path, max_bundles=4)) as worker,
     ):
@@ -355,7 +355,7 @@ def test_a_worker_whose_simulations_do_not_start_claims_no_job(tmp_path):
 
 
 def test_a_worker_with_a_paused_simulation_learns_the_end_of_the_run_from_a_heartbeat(tmp_path):
-    """Its only slot pauses after a crash, so that it claims no job for a time."""
+    """The only slot of the worker pauses after a crash, so that the worker claims no job for some time."""
     with coordinator("die") as hub:
         hub.tells_end_by_beat = True
         hub.dropped_replies[Verb.CLAIM] = 0

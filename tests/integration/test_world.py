@@ -1,4 +1,4 @@
-"""The world in PyBullet: follows commands, stops at walls, and is deterministic."""
+"""The world in PyBullet: the robot follows commands and stops at walls, and the motion is deterministic."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def drive(world: World, wanted: Iterable[Twist]) -> None:
 
 
 def trajectory_digest(world: World | None = None) -> str:
-    """Drives a fixed zigzag into the crate, by default in a new world, and returns the digest of all poses."""
+    """Drives a fixed zigzag that hits the crate, by default in a new world; returns the digest of all poses."""
     rng = np.random.default_rng(7)
     digest = hashlib.sha256()
     with world or open_world(box_room()) as world:
@@ -181,7 +181,7 @@ def test_a_world_after_others_with_the_same_obstacles_is_bit_identical(substeps:
     scene, robot = box_room(), ROBOT.model_copy(update={"physics_substeps": substeps})
     rng, used = np.random.default_rng(5), ColliderMesh.from_scene(scene)
     for _ in range(4):
-        with World(scene, used, robot, HZ) as world:  # left in contact with the wall, at speed
+        with World(scene, used, robot, HZ) as world:  # it is closed while the robot drives into the wall
             world.place(3.0, float(rng.uniform(-1, 1)), float(rng.uniform(-0.3, 0.3)))
             drive(world, [Twist(1.0, float(rng.uniform(-1.5, 1.5)))] * int(rng.integers(60, 120)))
         fresh = World(scene, ColliderMesh.from_scene(scene), robot, HZ)
@@ -223,7 +223,7 @@ def test_large_meshes_are_split_into_pieces_with_the_same_triangles() -> None:
 
 
 def test_unused_meshes_leave_no_references() -> None:
-    """PyBullet keeps a reference to every list that it received."""
+    """PyBullet itself would keep a reference to every list that it receives."""
     rng = np.random.default_rng(0)
     vertices = rng.uniform(3, 4, (3000, 3)).astype(np.float32)
     scene = replace(

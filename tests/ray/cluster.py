@@ -1,4 +1,4 @@
-"""A Ray cluster of two raylets on this machine, and a run on it whose processes and nodes are killed."""
+"""Starts a Ray cluster of two raylets on this machine, and kills processes and nodes during a run on it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def ray_cluster() -> Iterator[Any]:
     """Starts a head without CPUs and two nodes of one CPU each."""
     from ray import cluster_utils
 
-    handler = signal.getsignal(signal.SIGTERM)  # the head replaces it
+    handler = signal.getsignal(signal.SIGTERM)  # the Ray head replaces this handler
     started = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
     try:
         for _ in range(2):
@@ -54,7 +54,7 @@ def run_with_kills(cluster: Any, plan: tuple[str, ...], out: Path) -> None:
     with subprocess.Popen(command) as run:
         until(lambda: archived(out) >= 2 and bool(workers_of(one)) and bool(workers_of(other)), run)
         (first,) = workers_of(one)
-        os.kill(parent_of(first), signal.SIGKILL)  # the actor; Ray starts it again, and its worker ends
+        os.kill(parent_of(first), signal.SIGKILL)  # kills the actor: its worker ends, Ray restarts it
         until(lambda: workers_of(one) not in ([], [first]), run)
         (worker,) = workers_of(other)
         os.kill(worker, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""`factory run --engine ray` on two real raylets of one machine, with killed actors, workers and a killed node."""
+"""Tests `factory run --engine ray` on two real raylets of one machine; an actor, a worker and a node are killed."""
 
 from __future__ import annotations
 

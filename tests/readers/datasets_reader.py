@@ -1,4 +1,4 @@
-"""Checks that `datasets.load_dataset` opens a dataset and its supported exports by their cards.
+"""Checks that `datasets.load_dataset` opens a dataset and its supported exports through their dataset cards.
 
 Does not import this project. Exits with code 1 at the first failed check.
 
@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def check_rows(paper: Paper, place: Path, cache: str) -> str:
-    """Checks one row for each episode in its split, with its instruction."""
+    """Checks that each episode has one row, in its split and with its instruction."""
     splits = datasets.load_dataset(str(place), cache_dir=cache)
     values = {
         row["episode_id"]: (row["instruction"], split, row["num_steps"])

@@ -37,11 +37,11 @@ RUNS: dict[str, tuple[str, ...]] = {
 
 
 class Reader(NamedTuple):
-    """A script in this folder that reads exports with the reader of their format."""
+    """A script in this folder that reads exports with third-party readers of their format."""
 
     environment: str
     shown: tuple[str, ...]
-    """Its arguments: `dataset`, or folders of OUT."""
+    """Arguments of the script: `dataset`, or folders of OUT."""
 
 
 READERS: dict[str, Reader] = {

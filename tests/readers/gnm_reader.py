@@ -26,7 +26,7 @@ NAME = "minivla_nav"
 CONTEXT, PREDICTED = 5, 5
 LEAST_PSNR_DB = 30.0
 BACK_M = 0.01
-"""The robot never reverses, but its body rocks back by a millimetre when it brakes."""
+"""Permitted motion backwards, metres: the robot never reverses, but its body rocks back when it brakes."""
 
 
 class PlainNumpy(pickle.Unpickler):

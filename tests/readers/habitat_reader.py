@@ -1,8 +1,8 @@
 """Opens a `vlnce` export with Habitat's VLN loader and compares it with the paper's tree of the same dataset.
 
 Runs in a separate environment (Python 3.11, habitat-lab 0.3.3, trimesh; see `make test-formats`), does not import this
-project, and exits with code 1 at the first failed check. The simulator has no wheel: empty modules replace the three
-modules of habitat-lab that cannot be imported without it, none of which reads episodes, and trimesh opens the
+project, and exits with code 1 at the first failed check. The simulator has no wheel. Empty modules replace the three
+modules of habitat-lab that cannot be imported without the simulator; none of them reads episodes. trimesh opens the
 scenes. VLN-CE's `VLNCEDatasetV1` parses files like the loader tested here.
 
     python tests/readers/habitat_reader.py PAPER EXPORT
@@ -102,7 +102,7 @@ def check_episode(paper: Paper, episode: Any, words: VocabDict, split: str) -> N
 
 
 def check_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
-    """Checks that the nDTW path contains every pose, and that the reference path has the same ends."""
+    """Checks that the nDTW path contains every pose, and that the reference path has the same start and end."""
     poses = paper.array(episode.info["minivla_episode_id"], "poses").astype(np.float64)
     expected = np.column_stack([poses[:, 0], poses[:, 2], -poses[:, 1]])
     locations = np.array(paths[str(episode.episode_id)]["locations"])
@@ -111,7 +111,7 @@ def check_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
 
 
 def check_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
-    """Checks that Habitat splits the work by scenes and iterates over all episodes."""
+    """Checks that Habitat loads the episodes of single scenes and iterates over all episodes."""
     names = VLNDatasetV1.get_scenes_to_load(configuration(export, split))
     parts = [load(export, split, (name,)) for name in names]
     assert sorted(len(part.episodes) for part in parts) == sorted(
@@ -123,7 +123,7 @@ def check_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
 
 
 def check_scene(path: Path, episodes: list[Any]) -> str:
-    """Checks that the mesh loads with its textures, and that starts are above a floor and within walls."""
+    """Checks that the mesh loads with its textures, that starts are on the floor and paths within the walls."""
     scene = trimesh.load(path, force="scene")
     meshes = list(scene.geometry.values())
     triangles = sum(len(mesh.faces) for mesh in meshes)

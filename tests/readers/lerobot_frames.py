@@ -19,7 +19,7 @@ CHUNK, BATCHES = 8, 8
 
 
 class Listed(NamedTuple):
-    """An episode in the list of the loader."""
+    """An episode as the loader lists it."""
 
     name: str
     """Name of the original episode."""
@@ -67,9 +67,9 @@ def check_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int
 
 
 def depth_error_mm(found_mm: np.ndarray, truth_m: np.ndarray) -> float:
-    """Returns the largest error; asserts that it is within half a step of the code, and that 0 stays 0."""
+    """Returns the largest error; asserts that errors are at most half a quantisation step, and that 0 remains 0."""
     assert np.array_equal(found_mm == 0, truth_m < 0.001)
-    half_step_mm = 1000 * (truth_m + 3.5) * (np.log(33.5 / 3.5) / 4095) / 2 + 0.6  # the loader rounds to millimetres
+    half_step_mm = 1000 * (truth_m + 3.5) * (np.log(33.5 / 3.5) / 4095) / 2 + 0.6  # 0.6: the loader rounds to mm
     error = np.abs(found_mm - 1000.0 * truth_m)
     assert (error <= half_step_mm).all(), f"{error.max():.1f} mm"
     return float(error.max())

@@ -32,7 +32,7 @@ def main() -> None:
 
 
 def check_episode(tables: RelabelledTables, data: LeRobotDataset, name: str, first: int, length: int) -> None:
-    """Checks the task, and the active subtask of every frame with LeRobot's own function."""
+    """Checks the task, the active subtask of every frame as found by LeRobot's function, and the questions."""
     steps = tables.steps(name)
     assert data[first]["task"] == tables.first[name], name
     rows = data.hf_dataset.select(range(first, first + length)).with_format(None)
@@ -44,7 +44,7 @@ def check_episode(tables: RelabelledTables, data: LeRobotDataset, name: str, fir
         if active is not None:
             found[-1]["end"] = t + 1
     joined = []
-    for each in steps:  # two equal texts in succession are one span for the loader
+    for each in steps:  # the loader joins two equal consecutive texts to one span
         if joined and joined[-1]["text"] == each["text"]:
             joined[-1] = {**joined[-1], "end": each["end"]}
         else:

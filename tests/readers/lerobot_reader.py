@@ -58,7 +58,7 @@ def check_export(paper: Paper, export: Path, backend: str) -> str:
 
 
 def check_parts(export: Path) -> str:
-    """Checks chunks and batches, and the episodes of every split by range and by filter."""
+    """Checks chunks and batches, and that range and filter select the same episodes of every split."""
     lengths = LeRobotDataset("test/nav", root=export).meta.episodes["length"]
     data, result = check_batches(export, lengths[0])
     splits = json.loads((export / "meta/info.json").read_text())["splits"]
@@ -81,7 +81,7 @@ def check_conversion(paper: Paper, export: Path) -> str:
 
 
 def check_aggregate(export: Path) -> str:
-    """Aggregates the export with itself; the second half equals the first."""
+    """Aggregates two copies of the export with LeRobot; the second half must equal the export."""
     with tempfile.TemporaryDirectory() as place:
         target = Path(place) / "joined"
         aggregate_datasets(["test/a", "test/b"], "test/joined", roots=[export, export], aggr_root=target)

@@ -1,8 +1,9 @@
-"""Writes a dataset with the same features with LeRobot's writer and prints its schema, in the reader's environment.
+"""Writes a dataset with the features of our exports with LeRobot's writer, and prints its schema.
 
     python tests/readers/lerobot_reference.py > tests/readers/lerobot_schema.json
 
-Its output is stored in `lerobot_schema.json`; the quick suite compares exports with it.
+Runs in the environment of `lerobot_reader.py`. Its output is stored in `lerobot_schema.json`; unit tests compare
+exports with it.
 """
 
 import json
@@ -72,7 +73,7 @@ def frame(t: int) -> dict[str, object]:
 
 
 def schema_of(root: Path) -> dict[str, object]:
-    """Returns the keys and types of everything but the values."""
+    """Returns keys, types and file names of a dataset, and the content of `info.json`, but no recorded values."""
     info = json.loads((root / "meta/info.json").read_text())
     stats = json.loads((root / "meta/stats.json").read_text())
     described = json.loads(pq.read_schema(root / "data/chunk-000/file-000.parquet").metadata[b"huggingface"])

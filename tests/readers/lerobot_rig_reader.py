@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def check_sensor(item: dict[str, Any], sensor: dict[str, Any], folder: Path, number: int) -> None:
-    """Compares the measurement of a sensor in a row with its measurement of that number."""
+    """Compares the measurement of a sensor in a row of the export with measurement `number` of the paper layout."""
     name, file = sensor["name"], f"{number * sensor['every_steps']:06d}"
     match sensor["model"]:
         case "lidar2d" | "lidar3d":
@@ -61,7 +61,7 @@ def check_sensor(item: dict[str, Any], sensor: dict[str, Any], folder: Path, num
 
 
 def check_camera(item: dict[str, Any], camera: dict[str, Any], folder: Path, file: str) -> None:
-    """Compares colour, depth and ids of a camera, as far as it has them."""
+    """Compares those of colour, depth and ids that a camera records."""
     key = f"observation.images.{camera['name']}"
     if "rgb" in camera["outputs"]:
         shown = np.rint(item[key].numpy().transpose(1, 2, 0) * 255.0)

@@ -68,7 +68,7 @@ def check_statistics(export: Path) -> str:
 
 
 def check_gr00t(paper: Paper, export: Path) -> str:
-    """Reads every episode by the names in `meta/modality.json`."""
+    """Reads every episode through the names in `meta/modality.json`."""
     info = json.loads((export / "meta/info.json").read_text())
     modality = json.loads((export / "meta/modality.json").read_text())
     tasks = {line["task_index"]: line["task"] for line in lines_of(export / "meta/tasks.jsonl")}
@@ -93,7 +93,7 @@ def check_gr00t(paper: Paper, export: Path) -> str:
 
 
 def check_gr00t_statistics(export: Path, modality: dict[str, Any]) -> None:
-    """Slices the parts of state and action out of every statistic of their column."""
+    """Checks that the parts of state and action can be sliced out of every statistic of their column."""
     stats = json.loads((export / "meta/stats.json").read_text())
     for found in stats.values():
         assert found.keys() >= NEEDED_STATISTICS
@@ -111,7 +111,7 @@ def check_gr00t_camera(feature: dict[str, Any], fps: int) -> None:
 
 
 def parts_of(kind: str, modality: dict[str, Any], table: pd.DataFrame) -> dict[str, np.ndarray]:
-    """Returns the parts of state or action of an episode, each (T, D)."""
+    """Returns the parts of state or action of an episode by name, each (T, D)."""
     found = {}
     for name, part in modality[kind].items():
         column = np.stack(table[part.get("original_key", DEFAULT_COLUMN[kind])].to_list())

@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def check_schemas(path: Path) -> int:
-    """Compares the descriptors in a file with the published classes, field by field; returns their number."""
+    """Compares the descriptors in a file with the published classes, field by field; returns how many it compared."""
     with path.open("rb") as file:
         schemas = list(make_reader(file).get_summary().schemas.values())
     published = [schema for schema in schemas if schema.name.startswith(PUBLISHED)]
@@ -79,7 +79,7 @@ def fields(message: Any) -> list[tuple[Any, ...]]:
 
 
 def check_file(paper: Paper, path: Path) -> Counter[str]:
-    """Compares every decoded message of a file with the episode; returns the messages by topic."""
+    """Compares every decoded message of a file with the episode; returns the number of messages by topic."""
     name, seen = path.stem, Counter[str]()
     hz = paper.meta(name)["job"]["task"]["control_hz"]
     with path.open("rb") as file:
@@ -94,7 +94,7 @@ def check_file(paper: Paper, path: Path) -> Counter[str]:
 
 
 def check_decoded(paper: Paper, name: str, schema: str, topic: str, decoded: Any, t: int) -> None:
-    """Compares the comparable fields of one message."""
+    """Compares the fields of a message that the paper's tree also contains."""
     if topic == "/camera/rgb":
         assert schema == "foxglove.CompressedImage"
         np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(decoded.data))), paper.rgb(name, t))

@@ -1,4 +1,4 @@
-"""Reads the paper's tree, the reference of the readers of other exports. Does not import this project."""
+"""Reads the paper's tree, with which the readers compare other exports. Does not import this project."""
 
 import json
 from pathlib import Path
@@ -40,5 +40,5 @@ def psnr(one: NDArray[Any], two: NDArray[Any]) -> float:
 
 
 def mean_commands(actions: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
-    """Returns (N, 2): the mean command from each kept frame to the next one."""
+    """Returns (N, 2) mean commands, each from one kept frame to the next."""
     return np.stack([actions[t : t + stride].mean(axis=0) for t in range(0, len(actions), stride)])

@@ -28,7 +28,7 @@ class RelabelledTables:
         return [{"text": row["instruction"], "start": row["start"], "end": row["end"]} for row in chosen]
 
     def questions(self, episode_id: str) -> dict[int, list[tuple[str, str]]]:
-        """Returns the roles and texts of questions and answers of an episode by their first frame."""
+        """Returns, for each first frame, the (role, text) pairs of the questions and answers that start there."""
         found: dict[int, list[tuple[str, str]]] = {}
         own = (row for row in self._questions if row["episode_id"] == episode_id)
         for row in sorted(own, key=lambda row: row["number"]):
@@ -39,7 +39,7 @@ class RelabelledTables:
 
 
 def counted(steps: Iterable[list[dict[str, Any]]]) -> str:
-    """Returns how many sub-instructions and routes were compared.
+    """Returns a text with the numbers of compared sub-instructions and routes.
 
     Raises:
         AssertionError: no episode has a route.

@@ -1,4 +1,4 @@
-"""Rerun reads back the recording of `factory view`, an MCAP export and LeRobot exports.
+"""Reads the recording of `factory view`, an MCAP export and LeRobot exports with Rerun, and checks their content.
 
 Runs in an environment with `rerun-sdk` and this project (it calls `factory view`, but does not import the project).
 Exits with code 1 at the first failed check.
@@ -66,7 +66,7 @@ def check_view(paper: Paper, name: str, path: Path) -> str:
 
 
 def rows_of(path: Path) -> dict[tuple[str, str], dict[int | None, Any]]:
-    """Returns the values by entity, component and step; step `None` has static values."""
+    """Returns the values by (entity, component) and step; static values have the step `None`."""
     found: dict[tuple[str, str], dict[int | None, Any]] = {}
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()

@@ -1,4 +1,4 @@
-"""Prints the result of a reader: one row of the table of `formats.py`. Does not import this project."""
+"""Prints the result of a reader as a row of the table that `formats.py` prints. Does not import this project."""
 
 import sys
 from importlib.metadata import version

@@ -1,6 +1,6 @@
 """Slurm on loopback with three simulated nodes: Debian's munged, slurmctld and slurmd with a private configuration.
 
-Needs root, because slurmd starts the tasks of users. Changes no file of the system.
+Needs root, because slurmd must start tasks as other users. Changes no file of the system.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def running_cluster() -> Iterator[SlurmCluster]:
 
 
 class SlurmCluster:
-    """A running cluster. Context manager; the commands of Slurm use it through `environment`."""
+    """A running cluster. Context manager; Slurm commands with the variables of `environment` use this cluster."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -101,7 +101,7 @@ class SlurmCluster:
         self._end()
 
     def call(self, *words: object, accepted: tuple[str, ...] = ()) -> str:
-        """Runs a command of Slurm and returns its output; an error with one of the texts `accepted` is accepted too."""
+        """Runs a Slurm command and returns its output; ignores errors whose text contains one of `accepted`."""
         done = subprocess.run(
             [*map(str, words)], env=self.environment, capture_output=True, text=True, check=False, timeout=60
         )
@@ -115,15 +115,15 @@ class SlurmCluster:
         return " ".join(sorted(states))
 
     def wait(self, condition: Callable[[], bool], what: str, within_s: float = 900.0) -> None:
-        """Waits for an event; the limit only ends a hang."""
+        """Waits for a condition; the time limit only guards against a hang."""
         end = time.monotonic() + within_s
         while not condition():
-            assert time.monotonic() < end, f"never came: {what}\n{self.call('squeue', '--all')}"
+            assert time.monotonic() < end, f"timed out waiting for {what}\n{self.call('squeue', '--all')}"
             time.sleep(0.5)
 
     @contextmanager
     def without(self, *nodes: str) -> Iterator[None]:
-        """Starts no task on some nodes while the context is open."""
+        """Drains some nodes inside the `with` block, so that no task starts on them."""
         self.call("scontrol", "update", f"nodename={','.join(nodes)}", "state=drain", "reason=test")
         try:
             yield
@@ -132,7 +132,7 @@ class SlurmCluster:
 
     @contextmanager
     def frozen(self, task: str, node: str) -> Iterator[None]:
-        """Stops the simulation process of a task while the context is open, so that the task cannot finish its job."""
+        """Stops the simulation of a task inside the `with` block, so that the task cannot finish its job."""
         number = re.search(r"JobId=(\d+)", self.call("scontrol", "show", "job", task))
         assert number is not None, task
         pids = [
@@ -147,7 +147,7 @@ class SlurmCluster:
             _signal_all(pids, signal.SIGCONT)
 
     def kill_node(self, name: str) -> None:
-        """Kills the daemon of a node and the tasks that it runs, as a power failure does, and reports the node down."""
+        """Kills the daemon of a node and its tasks, as a power failure does, and sets the node's state to down."""
         process = self._processes.pop(name)
         process.kill()
         process.wait()
@@ -155,7 +155,7 @@ class SlurmCluster:
         self.call("scontrol", "update", f"nodename={name}", "state=down", "reason=test")
 
     def start_node(self, name: str) -> None:
-        """Starts the daemon of a node and returns the node to service."""
+        """Starts the daemon of a node and lets Slurm use the node again."""
         self._start("slurmd", "-D", "-N", name, name=name)
         self.call("scontrol", "update", f"nodename={name}", "state=resume")
 
@@ -179,7 +179,7 @@ class SlurmCluster:
     def wait_for_file(self, path: Path) -> None:
         end = time.monotonic() + 60
         while not path.exists():
-            assert time.monotonic() < end, f"{path} never came"
+            assert time.monotonic() < end, f"timed out waiting for {path}"
             time.sleep(0.05)
 
     def _is_ready(self) -> bool:
@@ -205,7 +205,7 @@ class SlurmCluster:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        self._kill_tasks()  # the controller may have started more
+        self._kill_tasks()  # the controller may have started more tasks
 
     def _kill_tasks(self) -> None:
         _signal_all(_task_processes(str(self._folder)), signal.SIGKILL)
@@ -213,15 +213,15 @@ class SlurmCluster:
 
 def _signal_all(pids: Iterable[int], number: int) -> None:
     for pid in pids:
-        with contextlib.suppress(ProcessLookupError):  # ended with the process before it
+        with contextlib.suppress(ProcessLookupError):  # it ended when the process before it was killed
             os.kill(pid, number)
 
 
 def _task_processes(text: str) -> list[int]:
-    """Returns the processes of the tasks whose scripts are below a folder.
+    """Returns the processes of the tasks whose script has a path that contains `text`.
 
-    The step daemons are first, because they must be killed first: a step daemon that survives its script for a moment
-    reports the end of the task.
+    The step daemons come first in the list, because they must be killed first. A step daemon that is killed later than
+    its script reports the end of the task.
     """
     parents: dict[int, int] = {}
     scripts: set[int] = set()

@@ -1,4 +1,4 @@
-"""Jobs that a task holds according to the ledger of its run, and how they end when an event of Slurm stops the task."""
+"""Reads the jobs that a Slurm task has leased, and how their leases end when the task is stopped, from the ledger."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from typing import Any
 from coordinator.ledger.states import Event
 
 FALSE_ENDS = frozenset({Event.WORKER_FAILED, Event.QUARANTINED, Event.LOST})
-"""Events that count against a host or a job; no event of Slurm may cause one."""
+"""Ledger events that count against a host or a job. Stopping a Slurm task must not cause any of them."""
 _OF_SESSION = "(:session IS NULL OR sid = :session)"
 
 
 def held(dataset: Path, session: str | None = None) -> set[tuple[int, int]]:
-    """Returns job and fence of each job that is simulated; `session` selects one worker."""
+    """Returns job ID and fence of each leased job; `session` limits the result to one worker."""
     query = f"SELECT id, fence FROM jobs WHERE state = 'leased' AND {_OF_SESSION}"
     return {(job, fence) for job, fence in _read(dataset, query, session=session)}
 
 
 def ends(dataset: Path, since: float, session: str | None = None) -> Counter[str]:
-    """Returns the number of events of jobs by kind since a time, Unix seconds; `session` selects one worker."""
+    """Returns the number of job events by kind since a time (Unix seconds); `session` limits them to one worker."""
     query = f"SELECT event FROM events WHERE at >= :since AND {_OF_SESSION}"
     return Counter(kind for (kind,) in _read(dataset, query, session=session, since=since))
 
@@ -40,5 +40,5 @@ def _read(dataset: Path, query: str, **values: str | float | None) -> list[tuple
     with closing(sqlite3.connect(f"file:{ledger}?mode=ro", uri=True)) as opened:
         try:
             return opened.execute(query, values).fetchall()
-        except sqlite3.OperationalError:  # a coordinator creates it at this moment
+        except sqlite3.OperationalError:  # a coordinator is creating the ledger
             return []

@@ -1,4 +1,4 @@
-"""A run that `factory submit slurm` has submitted, and the events of Slurm that can stop its tasks."""
+"""A run submitted by `factory submit slurm`, and functions that stop its tasks in each way that Slurm can."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tests.slurm.cluster import SlurmCluster
 from tests.slurm.leases import FALSE_ENDS, ends, held, waiting
 
 _LIMIT = "01:00:00"
-"""Time limit of a task, which no task reaches."""
+"""Time limit of the tasks; long enough that no task reaches it."""
 _SHORT_LIMIT = "00:02:00"
-"""Time limit with which Slurm sends the signal at its next check, which comes within half a minute."""
+"""Time limit so short that Slurm sends the warning signal at its next check of the limits, within half a minute."""
 _REQUEUED = "stopped before the run was finished: requeueing"
 """Line in the log of a task that has queued itself again before its time limit."""
 _PREEMPTED = "DUE TO PREEMPTION"
 _SESSION = re.compile(r"worker_started.* sid=(\S+)")
-"""Line in the log of a worker with the name under which the ledger knows it."""
+"""Line in the log of a worker with its session ID, by which the ledger refers to the worker."""
 
 
 class Task(NamedTuple):
@@ -33,11 +33,11 @@ class Task(NamedTuple):
     number: int
     node: str
     restarts: int
-    """Number of times that the task was queued again."""
+    """Number of times that the task was requeued."""
 
 
 class SubmittedRun:
-    """Jobs of a run with 7 shards, or with 5 workers and a coordinator, in the folder `folder`."""
+    """Slurm jobs of a run in `folder`: 7 shards, or 5 workers and a coordinator, depending on `mode`."""
 
     def __init__(self, cluster: SlurmCluster, folder: Path, mode: str, plan: tuple[str, ...]) -> None:
         self._cluster, self._mode, self.folder = cluster, mode, folder
@@ -56,11 +56,11 @@ class SubmittedRun:
         self.array = self.jobs[mode]
 
     def dataset_of(self, task: int) -> Path:
-        """Returns the dataset to which a task adds episodes."""
+        """Returns the dataset directory to which a task adds episodes."""
         return self.folder / "shards" / str(task) if self._mode == "shards" else self.folder / "dataset"
 
     def ledgers(self) -> list[Path]:
-        """Returns the datasets with a ledger."""
+        """Returns the directories of all datasets that can have a ledger."""
         return [*self.folder.glob("shards/*"), self.folder / "dataset"]
 
     def running(self) -> list[Task]:
@@ -76,7 +76,7 @@ class SubmittedRun:
         return found
 
     def restarts(self, job: str) -> int:
-        """Returns the number of times that a job was queued again."""
+        """Returns the number of times that a job was requeued."""
         text = self._cluster.call("scontrol", "show", "job", job)
         found = re.search(r"Restarts=(\d+)", text)
         assert found is not None, text
@@ -94,7 +94,7 @@ class SubmittedRun:
         return found[0]
 
     def cancel_one(self) -> str:
-        """Cancels a task, and another one if it had no job; returns their numbers, separated by commas."""
+        """Cancels tasks until one of them has lost a job; returns the numbers of the cancelled tasks with commas."""
         cancelled: list[int] = []
 
         def cancel(task: Task) -> None:
@@ -105,11 +105,11 @@ class SubmittedRun:
         return ",".join(map(str, cancelled))
 
     def requeue_one(self) -> None:
-        """Queues a running task again."""
+        """Requeues a running task."""
         self._strike(lambda task: self._requeue(f"{self.array}_{task.number}"), self._has_restarted)
 
     def requeue_coordinator(self) -> None:
-        """Queues the coordinator again while workers have jobs; it then gets another port and a new certificate."""
+        """Requeues the coordinator while workers have jobs; it then starts with another port and a new certificate."""
         dataset, job = self.folder / "dataset", str(self.jobs["coordinator"])
         self._resume()
         self.at_work()
@@ -122,7 +122,7 @@ class SubmittedRun:
         assert FALSE_ENDS.isdisjoint(ends(dataset, since))
 
     def preempt_one(self, excluded: str) -> None:
-        """Submits an urgent job that takes the whole node of a task."""
+        """Submits an urgent job that takes the whole node of a task, which Slurm preempts."""
         script = self.folder / "urgent.sh"
         script.write_text("#!/bin/bash\nsleep 2\n")
         urgent: list[int] = []
@@ -139,7 +139,7 @@ class SubmittedRun:
         assert self._logged(_PREEMPTED)
 
     def drain_node(self, excluded: str) -> None:
-        """Drains the node of a task, as for maintenance: its tasks move to other nodes; then resumes the node."""
+        """Drains the node of a task, as for maintenance, moves its tasks to other nodes, and resumes the node."""
 
         def drain(task: Task) -> None:
             self._cluster.call("scontrol", "update", f"nodename={task.node}", "state=drain", "reason=test")
@@ -170,10 +170,10 @@ class SubmittedRun:
         )
 
     def reach_time_limit(self) -> None:
-        """Shortens the time limit of a running task, which queues itself again before its end.
+        """Shortens the time limit of a running task, so that the task requeues itself shortly before the limit.
 
-        The simulation process of the task is stopped, because a shard needs less time than Slurm until its next check
-        of the limits on a fast machine.
+        The simulation process of the task is stopped until then. Otherwise, a shard on a fast machine could end before
+        Slurm checks the time limits again.
         """
 
         def shorten(task: Task) -> None:
@@ -197,7 +197,7 @@ class SubmittedRun:
         return self._cluster.state_of(self.jobs[job])
 
     def resubmit(self, job: str, *options: str) -> None:
-        """Submits a script of the run again."""
+        """Submits the script of a job of the run again."""
         script = self.folder / "slurm" / f"{job}.sh"
         self.jobs[job] = int(self._cluster.call("sbatch", "--parsable", *options, script))
 
@@ -214,20 +214,20 @@ class SubmittedRun:
         is_suitable: Callable[[Task], bool] = lambda _task: True,
         end: Event = Event.RELEASED,
     ) -> None:
-        """Stops a task at work, and repeats this until a task has lost a job.
+        """Stops a task that has a job; repeats this with other tasks until a stopped task has lost a job.
 
-        The run is paused while Slurm reacts and until a suitable task runs, so that jobs are left for the next event on
-        a machine of any speed.
+        The run is paused while Slurm reacts and until a suitable task runs. Otherwise, a fast machine could finish all
+        jobs before the next event.
 
         Args:
-            event: stops the task.
-            is_over: whether Slurm has reacted.
+            event: function that stops the task.
+            is_over: returns whether Slurm has reacted.
             recover: ends the state that the event has caused.
-            is_suitable: whether the event may stop a task.
-            end: event with which the ledger must record that the task has lost a job.
+            is_suitable: returns whether `event` may stop this task.
+            end: ledger event that must record the loss of the job.
         """
         while True:
-            # still paused: Slurm starts a task again some minutes after it was queued again
+            # the run is still paused, because Slurm starts a requeued task only after some minutes
             self._cluster.wait(lambda: any(map(is_suitable, self.running())), "a running task")
             self._resume()
             task = self.at_work(is_suitable)
@@ -242,32 +242,32 @@ class SubmittedRun:
                 return
 
     def _wait_for(self, task: Task, is_over: Callable[[Task], bool]) -> None:
-        """Waits for the reaction to an event; a shard may finish before the event stops it."""
+        """Waits until Slurm has reacted to an event or, because a shard may finish first, the task is complete."""
         self._cluster.wait(
             lambda: is_over(task) or self._state_of(task.number) == "COMPLETED", f"the reaction to an event of {task}"
         )
 
     def _ends(self, task: Task, session: str | None, since: float) -> Counter[str]:
-        """Waits until a stopped task has no job, and returns the events of its jobs since a time."""
+        """Waits until a stopped task has none of its jobs, and returns the number of its job events since a time."""
         dataset = self.dataset_of(task.number)
         left = held(dataset, session)
         self._cluster.wait(lambda: left.isdisjoint(held(dataset, session)), f"the end of the jobs of {task}")
         return ends(dataset, since, session)
 
     def _works(self, task: Task) -> bool:
-        """Returns whether a task simulates a job; a task of a run that was stopped before has an episode, too."""
+        """Returns whether a task has a job and its dataset contains an episode."""
         dataset = self.dataset_of(task.number)
         return archived(dataset) > 0 and bool(held(dataset, self._session(task)))
 
     def _session(self, task: Task) -> str | None:
-        """Returns the name of a worker in the ledger; `None` for a shard, which has a ledger for itself."""
+        """Returns the session ID of a worker in the ledger; `None` for a shard, which has a separate ledger."""
         if self._mode == "shards":
             return None
         found = _SESSION.findall((self.folder / "slurm" / f"workers-{task.number}.log").read_text())
         return found[-1] if found else "none yet"
 
     def _pause(self) -> None:
-        """Pauses the run as an operator does. A shard cannot be paused by the folder of its run."""
+        """Pauses the run as an operator does; does nothing for shards, which have no common coordinator."""
         self._switch("pause")
 
     def _resume(self) -> None:
@@ -290,11 +290,11 @@ class SubmittedRun:
         return self.restarts(f"{self.array}_{task.number}") > task.restarts
 
     def _requeue(self, job: str) -> None:
-        """Queues a job again; one that has just queued itself again at its time limit stays as it is."""
+        """Requeues a job; does nothing if the job has just requeued itself at its time limit."""
         self._cluster.call("scontrol", "requeue", job, accepted=("Job is pending execution",))
 
     def _limit(self, job: str, limit: str) -> None:
-        """Sets the time limit of a job; one that has ended keeps its limit."""
+        """Sets the time limit of a job; does nothing if the job has ended."""
         accepted = ("Job/step already completing or completed", "Job has already finished")
         self._cluster.call("scontrol", "update", f"jobid={job}", f"timelimit={limit}", accepted=accepted)
 
@@ -302,7 +302,7 @@ class SubmittedRun:
         return any(task.number == number for task in self.running())
 
     def _logged(self, text: str) -> bool:
-        """Returns whether the log of a task has a text."""
+        """Returns whether the log of any task contains a text."""
         return any(text in log.read_text() for log in (self.folder / "slurm").glob(f"{self._mode}-*.log"))
 
     def _state_of(self, task: int) -> str:

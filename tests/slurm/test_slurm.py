@@ -1,6 +1,7 @@
-"""The scripts of `factory submit slurm` on a real Slurm: arrays, dependencies, and each way in which a task is stopped.
+"""Tests the scripts of `factory submit slurm` on a real Slurm: arrays, dependencies, and all ways to stop a task.
 
-Most tests run a short shell program instead of `factory`, which drains like it; the last one generates a dataset.
+Most tests replace `factory` by a short shell program that also drains when it is stopped. The last test generates a
+dataset with `factory`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def cluster() -> Iterator[SlurmCluster]:
 
 
 class StubRun:
-    """A run whose tasks are the shell program; `told` returns what a task did."""
+    """A run whose tasks are the shell program; `told` returns the words that a task has written."""
 
     def __init__(self, cluster: SlurmCluster, folder: Path, tasks: int = 1, time: str = "10") -> None:
         self._cluster, self.folder = cluster, folder

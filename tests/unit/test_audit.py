@@ -1,4 +1,4 @@
-"""Summary of pip-audit's reports in `make audit`: a package without a result is not reported as safe."""
+"""Summary of pip-audit's reports in `make audit`; a package without a result must not count as safe."""
 
 from __future__ import annotations
 

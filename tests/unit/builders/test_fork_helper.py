@@ -1,4 +1,4 @@
-"""A process that the helper forks behaves like one of a new interpreter, and is a child of its requester."""
+"""A process forked by the helper behaves like a process of a new interpreter, as a child of its requester."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ FORKED_OF_THE_PRODUCT = {module for module in fork_helper.FORKED if not module.s
 
 @pytest.fixture(autouse=True)
 def new_interpreters(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processes of these tests have no helper before they start one."""
+    """Makes the processes of these tests start without a helper; a test starts a helper itself."""
     monkeypatch.setenv(fork_helper.NEW_INTERPRETER, "1")
 
 
 def begin() -> None:
-    """Forks the children of this process, which multiprocessing has started without a standard input."""
+    """Lets this process fork its children; first opens its standard input, which multiprocessing has replaced."""
     sys.stdin = os.fdopen(0, closefd=False)
     name = Path("/proc/self/comm").read_bytes()
     fork_helper.fork_children({MODULE})
@@ -43,7 +43,7 @@ def begin() -> None:
 
 
 def begin_with_threads() -> None:
-    """Forks the children of a process that has a thread."""
+    """Lets a process that has a thread fork its children."""
     sys.stdin = os.fdopen(0, closefd=False)
     threading.Thread(target=threading.Event().wait, daemon=True).start()
     fork_helper.fork_children_from_interpreter(("decimal",), {MODULE})
@@ -182,7 +182,7 @@ def leave_a_helper(path: Path, begins: Callable[[], None]) -> None:
 
 @pytest.mark.parametrize("begins", [begin, begin_with_threads])
 def test_the_helper_ends_with_its_owner(tmp_path, begins):
-    """Also if the owner is killed."""
+    """The owner is killed, so that it cannot end its helper."""
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=leave_a_helper, args=(tmp_path / "pid", begins))
     process.start()
@@ -211,7 +211,7 @@ def test_every_module_of_the_tests_that_is_forked_is_started_by_a_test():
 
 @pytest.mark.parametrize("module", sorted(FORKED_OF_THE_PRODUCT - {"factory"} | {"factory.__main__"}))
 def test_a_new_interpreter_imports_each_forked_module_first(module):
-    """In forks all modules are imported already, which would hide an import that works in one order only."""
+    """Forks have all modules imported already, which would hide an import that works in one order only."""
     command = [sys.executable, "-P", "-c", f"import {module}"]
     done = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

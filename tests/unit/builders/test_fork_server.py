@@ -1,4 +1,4 @@
-"""A process of the fork server behaves like one of a new interpreter."""
+"""A process of the fork server behaves like a process of a new interpreter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.builders.fork_server import ForkServer
 
 
 def main() -> int:
-    """Program of a test: writes its inputs, and ends in the way that its first argument names."""
+    """Program of a test: prints its arguments and environment, and ends in the way that its first argument names."""
     sys.stdout.write(json.dumps([sys.argv[1:], dict(os.environ), str(Path.cwd()), os.getsid(0) == os.getpid()]) + "\n")
     sys.stdout.flush()
     sys.stderr.write(sys.modules["__main__"].__name__ + "\n")

@@ -32,7 +32,7 @@ FACTORY_BOY = {
     "random",
     "utils",
 }
-"""Modules of factory_boy 3.3, which it installs into the same folder as ours."""
+"""Modules that factory_boy 3.3 installs into the folder `factory`, which this project also uses."""
 
 
 def python(code: str, path: Path | None = None, expect: int = 0) -> subprocess.CompletedProcess[str]:
