@@ -35,9 +35,9 @@ run: $(READY)
 	$(VENV)/bin/factory run demo --out dataset --workers 2
 	@echo "next: $(VENV)/bin/factory serve dataset (progress, episodes, scenes and statistics in a browser)"
 
-# JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process.
+# runs JOBS test files at a time, each in one process, the slowest folders first; JOBS=0 runs all tests in one process.
 # Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time.
-# Tests start many interpreters, so bytecode is written even if PYTHONDONTWRITEBYTECODE is set; otherwise each of them compiles the source
+# Tests start many interpreters, so bytecode is written even if PYTHONDONTWRITEBYTECODE is set; otherwise each interpreter would compile the source
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(READY)
 	$(VENV)/bin/python -m compileall -q schemas workers coordinator factory minivla tests/builders tests/chaos
@@ -48,38 +48,38 @@ check: $(READY)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-# time of a frame by stage in every scene, compared with the plain PyBullet pipeline; then the coordinator with a million
-# jobs and the reader, compared with their targets: fifteen minutes on an otherwise idle machine
+# measures the time of each stage of a frame in every scene, compared with plain PyBullet; then the renderer, a coordinator
+# with a million jobs, and the reader, compared with their targets; takes fifteen minutes on an otherwise idle machine
 bench: $(READY)
 	$(VENV)/bin/factory bench rollout --against plain
 	$(VENV)/bin/python -m tests.benchmarks.figures render coordinator read
 
-# half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
-# (PEERS=--no-peers omits them); every dataset must equal that of an undisturbed run. RECORD=states: episodes without frames
+# injects kills, freezes, lost replies and full disks for half an hour, with a hostile peer and a faulty host in every round
+# (PEERS=--no-peers omits them); every dataset must equal that of an undisturbed run. RECORD=states records states
 chaos: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 --record $(RECORD) $(PEERS)
 
-# ten thousand faults with an observed effect: one hour on two cores; a stopped campaign continues
+# injects faults until ten thousand had an observed effect; takes an hour on two cores; the same command continues it
 chaos-long: $(READY)
 	mkdir -p build
 	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --record $(RECORD) $(PEERS) --tally build/chaos-$(RECORD).json
 
-# a drive rendered with three rigs and two appearances; each export with sensors opened in the reader of its format
+# renders a drive with three rigs and two appearances, and opens each export with sensors in the reader of its format
 check-rigs: $(READY) $(LEROBOT)/.ready
 	$(VENV)/bin/python -m tests.acceptance.check_rigs --lerobot $(LEROBOT)/bin/python
 
-# a plan recorded as states and as frames, and the rendered states: every table, episode and export compared
+# records a plan as states and as frames, renders the states, and compares all tables, episodes and exports
 compare-recordings: $(READY)
 	$(VENV)/bin/python -m tests.acceptance.compare_recordings $(PLAN) --episodes $(EPISODES)
 
-# fifty ledgers deleted, replaced by older copies, truncated and damaged during runs; a stopped campaign continues
+# deletes, replaces by older copies, truncates or damages ledgers during runs, fifty times; the same command continues it
 ledger-accidents: $(READY)
 	mkdir -p build
 	$(VENV)/bin/python -m tests.chaos.ledger_accidents --moments 50 --tally build/ledger-accidents.json
 
-# every format with sizes, times and its readers: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1),
-# Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in separate environments, 17 GB in
-# total; with VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer the loader of ViNT and NoMaD as well
+# exports to every format, prints sizes and times, and opens the exports with their readers: LeRobot's loaders (Python 3.12;
+# 0.6 for v3.0, 0.3 for v2.1), Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in separate
+# environments of 17 GB in total; VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer adds the loader of ViNT and NoMaD
 test-formats: $(READY) $(LEROBOT)/.ready $(LEROBOT)-v2.1/.ready $(HABITAT)/.ready $(READERS)/.ready
 	rm -rf build/formats
 	$(VENV)/bin/factory run demo --episodes 8 --out build/formats/data
@@ -87,7 +87,7 @@ test-formats: $(READY) $(LEROBOT)/.ready $(LEROBOT)-v2.1/.ready $(HABITAT)/.read
 	    lerobot-v2.1=$(LEROBOT)-v2.1/bin/python habitat=$(HABITAT)/bin/python \
 	    readers=$(READERS)/bin/python visualnav=$(VISUALNAV)
 
-# instructions, sub-instructions and spans of routes, and questions, read back with the loaders of LeRobot and Habitat
+# reads exported instructions, sub-instructions with their frame spans, and questions with the loaders of LeRobot and Habitat
 test-language: $(READY) $(LEROBOT)/.ready $(HABITAT)/.ready
 	rm -rf build/language && mkdir -p build/language
 	printf 'languages = ["en", "de", "es", "zh"]\nkinds = ["route"]\nquestions = true\n' > build/language/language.toml
@@ -98,7 +98,7 @@ test-language: $(READY) $(LEROBOT)/.ready $(HABITAT)/.ready
 	HF_HUB_OFFLINE=1 $(LEROBOT)/bin/python -W ignore tests/readers/lerobot_language_reader.py build/language/data build/language/lerobot
 	$(HABITAT)/bin/python -W ignore tests/readers/habitat_language_reader.py build/language/data build/language/vlnce
 
-# the reader inside LeRobot's own environment (Python 3.12)
+# tests the dataset reader of this project in LeRobot's environment (Python 3.12)
 test-lerobot: $(READY) $(LEROBOT)/.ready
 	rm -rf build/lerobot && mkdir -p build/lerobot
 	$(VENV)/bin/python -m hatchling build -t wheel -d build/lerobot
@@ -126,7 +126,7 @@ $(HABITAT)/.ready:
 	$(HABITAT)/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh "pyarrow==19.0.1"
 	touch $(HABITAT)/.ready
 
-# with the project itself, which contains the RLDS builder and `factory view`
+# also installs this project, which contains the RLDS builder and `factory view`
 $(READERS)/.ready: requirements.txt
 	$(PYTHON) -m venv $(READERS)
 	$(READERS)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
@@ -135,18 +135,18 @@ $(READERS)/.ready: requirements.txt
 	$(READERS)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(READERS)/.ready
 
-# the wheel in fresh environments of Python 3.11, 3.12 and 3.13, if they are on PATH or in PYENV_ROOT: the base install,
+# tests the wheel in new environments of Python 3.11, 3.12 and 3.13, if they are on PATH or in PYENV_ROOT: the base install,
 # the extra `sim`, and an installation beside factory_boy; takes minutes and installs packages
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install --install -n $(JOBS) --dist loadgroup
 
-# a Slurm of Debian's packages with three nodes on loopback: arrays, cancel, requeue, preemption, time limit, a failed node,
-# and a dataset by shards and by workers; needs root and half an hour
+# tests with Debian's Slurm and three nodes on loopback: arrays, cancel, requeue, preemption, time limit, a failed node, and
+# datasets made by shards and by workers; needs root and half an hour
 test-slurm: $(READY) install-slurm
 	$(VENV)/bin/python -m pytest tests/slurm --slurm
 
-# 240 episodes as one run, as shards with kills, on Slurm with every event that stops a task, and on Ray with kills: one digest.
-# Needs root and about half an hour on two cores
+# generates 240 episodes as one run, as shards with kills, on Slurm with every event that stops a task, and on Ray with kills;
+# all datasets must have the same digest. Needs root and about half an hour on two cores
 test-engines: $(READY) install-slurm
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check "ray>=2.60,<3"
 	$(VENV)/bin/python -m pytest tests/engines --engines
@@ -156,13 +156,13 @@ install-slurm:
 	@export PATH="$$PATH:/usr/sbin"; command -v slurmctld >/dev/null && command -v slurmd >/dev/null && command -v munged >/dev/null || \
 	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends slurm-wlm munge; }
 
-# a Ray cluster of two nodes on loopback: killed actors, workers and nodes; needs the extra `ray` and some minutes
+# tests with a Ray cluster of two nodes on loopback and killed actors, workers and nodes; installs Ray; takes some minutes
 test-ray: $(READY)
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check "ray>=2.60,<3"
 	$(VENV)/bin/python -m pytest tests/ray --ray
 
-# training, recipes and their tests, in a separate environment, because PyTorch is large. Triton comes with PyTorch's default
-# wheels for Linux, not with the CPU build
+# tests training and recipes in a separate environment, because PyTorch is large. Triton is installed separately, because it
+# comes with PyTorch's default wheels for Linux, but not with the CPU build
 test-train: $(TRAIN)/.ready
 	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/dataset tests/integration/test_train.py \
 		tests/integration/test_render_training.py tests/integration/test_render_on_read.py \
@@ -180,12 +180,12 @@ $(TRAIN)/.ready: requirements.txt
 scenes-check: $(READY)
 	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
-# every parser of foreign bytes (messages, plans, bundles, scenes, tables, stages) on damaged files, in processes with 4 GiB:
-# fails on an undocumented exception, a crash or a hang; the input is kept in build/fuzz
+# passes damaged files to every parser of untrusted data (messages, plans, bundles, scenes, tables, stages), in processes with
+# 4 GiB; fails on an undocumented exception, a crash or a hang, and keeps the input in build/fuzz
 fuzz: $(READY)
 	$(VENV)/bin/python -m tests.fuzz.campaign --minutes 12
 
-# known vulnerabilities of the locked packages; prints a notice if no advisory database is reachable
+# looks up known vulnerabilities of the locked packages; prints a notice if no advisory database is reachable
 audit: $(AUDIT)/.ready
 	$(AUDIT)/bin/python tests/install/audit.py $(AUDIT)/bin/pip-audit requirements.txt
 
@@ -194,11 +194,11 @@ $(AUDIT)/.ready:
 	$(AUDIT)/bin/python -m pip install --quiet "pip-audit==2.10.1"
 	touch $(AUDIT)/.ready
 
-# the documents and the API reference as a site in build/site, readable without a network; fails on a broken link
+# builds the documents and the API reference as a site in build/site, readable without a network; fails on a broken link
 docs: $(DOCS)/.ready
 	$(DOCS)/bin/python -m mkdocs build --strict --site-dir build/site
 
-# runs docs/quickstart.ipynb from an empty folder and stores its outputs: two episodes are simulated
+# executes docs/quickstart.ipynb in an empty folder, which simulates two episodes, and stores its outputs in the notebook
 quickstart: $(DOCS)/.ready
 	$(DOCS)/bin/python docs/site/quickstart.py docs/quickstart.ipynb
 

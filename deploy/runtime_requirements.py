@@ -1,6 +1,7 @@
-"""Prints the part of requirements.txt that some extras of the project need, with its hashes, for the container image.
+"""Prints the entries of requirements.txt that the base install and some extras need, for the container image.
 
-Run in an environment that has all packages of requirements.txt: their metadata names their requirements.
+Run it in an environment with all packages of requirements.txt, because it reads the requirements of a package from its
+installed metadata.
 
     python deploy/runtime_requirements.py requirements.txt pyproject.toml sim metrics tls
 """
@@ -27,11 +28,11 @@ def locked(text: str) -> dict[str, str]:
 
 
 def closure(wanted: Iterable[Requirement], own: dict[str, list[str]]) -> set[str]:
-    """Returns the names of all packages that requirements need on this platform.
+    """Returns the names of all packages that some requirements need on this platform, directly or indirectly.
 
     Args:
-        wanted: requirements.
-        own: requirements of the project by extra, for an extra that names other extras.
+        wanted: the requirements.
+        own: requirements of each extra of this project, because an extra can name other extras.
     """
     found: set[tuple[str, str]] = set()
     waiting = [(one, extra) for one in wanted for extra in ("", *one.extras)]

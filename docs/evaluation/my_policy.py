@@ -1,4 +1,4 @@
-"""Example policy: a class with `reset` and `act`, no base class, nothing to register.
+"""Example policy: a class with the methods `reset` and `act`. It needs no base class and no registration.
 
 Run it from the folder that this file is in:  factory eval DIR --policy my_policy:TowardsOpenFloor
 """

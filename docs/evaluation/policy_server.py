@@ -21,7 +21,7 @@ def unpack(found):
 
 
 def infer(observation):
-    """Put the model here. `rgb`, `depth`, `prompt`; `step` is 0 when an episode begins."""
+    """Put your model here. The observation has `rgb`, `depth`, `prompt` and `step`, which is 0 at the first frame."""
     ahead = np.percentile(observation["depth"][200:400, 220:420], 5)
     action = (0.5, 0.0) if ahead > 0.8 else (0.0, 0.8)
     return {"actions": np.tile(np.float32(action), (6, 1))}  # a chunk: six steps of 1/60 s

@@ -5,8 +5,8 @@
 
 Then, from the folder of this file:  VLA_CHECKPOINT=tiny factory eval dataset --policy finetune_tokens:VlaPolicy
 
-An action is two of the 7 + 7 tokens of the grid. They take the place of the last 14 tokens of the language model's
-vocabulary (OpenVLA takes its last 256), so the model answers with two words it already has. Needs the extra `train`.
+An action is two tokens: one of 7 grid points of v and one of 7 grid points of w. They replace the last 14 tokens of the
+vocabulary of the language model (OpenVLA replaces 256), so that the vocabulary does not grow. Needs the extra `train`.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ PROMPT = "In: What action should the robot take to {instruction}?\nOut:"
 
 
 def prompt_of(instruction):
-    """Returns the prompt of OpenVLA; its instructions are in lower case, without a full stop."""
+    """Returns the prompt of OpenVLA for an instruction, in lower case and without a full stop."""
     return PROMPT.format(instruction=instruction.lower().rstrip(". "))
 
 
 def to_vocabulary(tokens, vocabulary):
-    """Returns v and w tokens 0..6 as ids of the language model: v from -14 to -8, w from -7 to -1."""
+    """Converts tokens 0..6 to ids of the language model, counted from the end: v from -14 to -8, w from -7 to -1."""
     return vocabulary - 2 * GRID + np.asarray(tokens) + np.array((0, GRID))
 
 
 def from_logits(logits, place, vocabulary):
-    """Returns the likeliest token 0..6 of one place (0 is v, 1 is w), ignoring all other tokens."""
+    """Returns the most likely token 0..6 of v (`place` 0) or w (`place` 1); other tokens are ignored."""
     first = vocabulary - 2 * GRID + place * GRID
     return int(logits[first : first + GRID].argmax())
 
 
 class TinyVla(nn.Module):
-    """A transformer of two layers with random weights: patches, then bytes of the prompt, then the answer."""
+    """Transformer of two layers with random weights; the input is image patches, prompt bytes and the answer."""
 
     vocabulary, size, patch, width = 512, 64, 16, 64
 
@@ -56,16 +56,16 @@ class TinyVla(nn.Module):
         self.out = nn.Linear(self.width, self.vocabulary)
 
     def encode(self, prompt):
-        """Returns the ids of a prompt: its bytes."""
+        """Returns the bytes of a prompt as token ids."""
         return list(prompt.encode())
 
     def pixels(self, rgb):
-        """Returns (N, 640, 640, 3) uint8 as input of the model."""
+        """Converts images (N, 640, 640, 3) uint8 to the input of the model."""
         every = rgb.shape[1] // self.size
         return rgb[:, ::every, ::every].permute(0, 3, 1, 2).float() / 127.5 - 1
 
     def forward(self, pixels, ids):
-        """Returns logits (N, L, vocabulary) of what follows each id."""
+        """Returns the logits (N, L, vocabulary) of the token after each id."""
         seen = self.see(pixels).flatten(2).transpose(1, 2)
         x = torch.cat([seen, self.say(ids)], dim=1) + self.place[:, : seen.shape[1] + ids.shape[1]]
         mask = nn.Transformer.generate_square_subsequent_mask(x.shape[1])
@@ -84,7 +84,7 @@ class TinyVla(nn.Module):
 
 
 class PretrainedVla(nn.Module):
-    """OpenVLA, or a model with its interface, under low-rank adapters."""
+    """OpenVLA, or a model with its interface, with low-rank adapters."""
 
     def __init__(self, name, adapters=None):
         super().__init__()
@@ -101,18 +101,18 @@ class PretrainedVla(nn.Module):
         self.vocabulary = len(self.processor.tokenizer)
 
     def encode(self, prompt):
-        """Returns the ids of a prompt; OpenVLA expects the empty token 29871 behind it."""
+        """Returns the token ids of a prompt and the empty token 29871, which OpenVLA expects after it."""
         return [*self.processor.tokenizer(prompt)["input_ids"], 29871]
 
     def pixels(self, rgb):
-        """Returns (N, 640, 640, 3) uint8 as the model's own image processor makes it."""
+        """Converts images (N, 640, 640, 3) uint8 with the image processor of the model."""
         from PIL import Image
 
         images = [Image.fromarray(picture.numpy()) for picture in rgb]
         return self.processor.image_processor(images, return_tensors="pt")["pixel_values"].to("cuda", torch.bfloat16)
 
     def forward(self, pixels, ids):
-        """Returns logits (N, L, vocabulary); the image patches after the first token are removed."""
+        """Returns the logits (N, L, vocabulary) of the token after each id, without those of the image patches."""
         ids = ids.to("cuda")
         logits = self.model(input_ids=ids, pixel_values=pixels, attention_mask=torch.ones_like(ids)).logits
         return torch.cat([logits[:, :1], logits[:, logits.shape[1] - ids.shape[1] + 1 :]], dim=1).float().cpu()
@@ -123,7 +123,7 @@ class PretrainedVla(nn.Module):
 
 
 def batches(dataset, size, seed):
-    """Yields batches of frames with equal prompt length, so that no padding is needed. Endless."""
+    """Yields prompts with samples of this prompt, so that no padding is needed; never ends."""
     rng = np.random.default_rng(seed)
     while True:
         samples = dataset.__getitems__(rng.integers(0, len(dataset), size).tolist())
@@ -154,7 +154,7 @@ def train(model, dataset, steps, batch, rate, seed):
 
 
 class VlaPolicy:
-    """The fine-tuned model as a policy of `factory eval`; reads VLA_CHECKPOINT (and VLA_MODEL, unless tiny)."""
+    """Policy of `factory eval` that loads the model from VLA_CHECKPOINT; VLA_MODEL is its name (default: `tiny`)."""
 
     actions = "tokens"
     hold = 6
@@ -164,11 +164,11 @@ class VlaPolicy:
         self.model = (TinyVla.load(checkpoint) if name == "tiny" else PretrainedVla(name, checkpoint)).eval()
 
     def reset(self, instruction, info):  # noqa: ARG002
-        """Reads the instruction."""
+        """Encodes the instruction."""
         self.asked = torch.tensor([self.model.encode(prompt_of(instruction))])
 
     def act(self, observation):
-        """Returns (6, 2) tokens: one answer, held for a tenth of a second."""
+        """Returns (6, 2) tokens: one answer of the model, repeated for six steps (0.1 s)."""
         pixels = self.model.pixels(torch.from_numpy(observation["rgb"].copy())[None])
         ids, answer = self.asked, []
         with torch.inference_mode():
@@ -198,7 +198,7 @@ def main():
     losses = train(model, frames, chosen.steps, chosen.batch, chosen.rate, chosen.seed)
     Path(chosen.out).mkdir(parents=True, exist_ok=True)
     model.save(chosen.out)
-    print(f"loss {losses[0]:.3f} at first, {np.mean(losses[-10:]):.3f} at last; written to {chosen.out}")
+    print(f"first loss {losses[0]:.3f}, mean of the last ten {np.mean(losses[-10:]):.3f}; written to {chosen.out}")
 
 
 if __name__ == "__main__":

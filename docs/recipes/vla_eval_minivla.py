@@ -1,11 +1,11 @@
-"""MiniVLA-Nav as a benchmark of allenai's vla-eval: its orchestrator runs the simulator, its servers return actions.
+"""MiniVLA-Nav as a benchmark of allenai's vla-eval, whose orchestrator runs the simulator and whose model servers act.
 
 pip install vla-eval 'PATH_OF_A_CLONE[eval]'; then, from the folder of this file (vla_eval.yaml names the dataset):
 
     vla-eval run --config vla_eval.yaml --no-docker
 
-One task a spec, so that results name episodes. A server gets `images["front"]`, `depth`, `task_description`; it answers
-with `actions` (v, w). A chunk is unrolled by the server, as vla-eval has it.
+Each evaluation episode is a task, so that the results name episodes. A model server gets `images["front"]`, `depth` and
+`task_description`, and answers with `actions` (v, w). If a model returns several actions, its server sends them singly.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ __all__ = ["MiniVLANav"]
 
 
 class MiniVLANav(StepBenchmark):
-    """Episodes of a dataset's split, or of a file of specs, one after the other in one process.
+    """Evaluation episodes of a dataset, one after the other in one process.
 
     Args:
-        data: the dataset's directory.
-        split: one or several splits, `a,b`.
-        specs: a file of `factory eval specs` instead.
-        size: pixels of a side of the images.
-        send_depth: whether observations have depth.
+        data: directory of the dataset.
+        split: one or more splits, separated by commas.
+        specs: file of `factory eval specs`, used instead of `split`.
+        size: width and height of the images, pixels.
+        send_depth: whether observations contain depth.
     """
 
     render_backends: ClassVar[frozenset[str]] = frozenset({"cpu", "gpu"})
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:  # noqa: ARG003
-        """Sets nothing: the renderer takes EGL's first device, be it a GPU or llvmpipe."""
+        """Returns no settings, because the renderer uses the first device of EGL, a GPU or llvmpipe."""
         return {}
 
     def __init__(
@@ -52,14 +52,14 @@ class MiniVLANav(StepBenchmark):
         self._send_depth = send_depth
 
     def get_tasks(self) -> list[dict[str, Any]]:
-        """Returns one task an episode."""
+        """Returns one task for each evaluation episode."""
         return [
             {"name": spec.spec_id, "suite": str(spec.split), "scene": spec.scene, "category": spec.category}
             for spec in self._env.specs.specs
         ]
 
     def reset(self, task: dict[str, Any]) -> dict[str, Any]:
-        """Starts the episode of that name."""
+        """Starts the episode of a task and returns its first observation."""
         observation, self._info = self._env.reset(options={"episode": task["name"]})
         return observation
 
@@ -85,7 +85,7 @@ class MiniVLANav(StepBenchmark):
         }
 
     def get_metric_keys(self) -> dict[str, str]:
-        """Returns how vla-eval aggregates episodes."""
+        """Returns the function with which vla-eval aggregates each measure over episodes."""
         return {"success": "mean", "spl": "mean", "navigation_error_m": "mean", "collision": "mean"}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
@@ -98,11 +98,11 @@ class MiniVLANav(StepBenchmark):
         return {"image": IMAGE_RGB, "language": LANGUAGE}
 
     def get_metadata(self) -> dict[str, Any]:
-        """Returns the limit of steps: the environment ends episodes by itself."""
+        """Returns the step limit of the task, after which the environment ends an episode itself."""
         return {"max_steps": self._env.specs.settings.task.max_steps}
 
     def get_hold_action(self, last_action: dict[str, Any] | None) -> dict[str, Any]:  # noqa: ARG002
-        """Returns a stop: holding the last twist would continue the motion."""
+        """Returns the action that stops the robot, because repeating the last one would continue the motion."""
         return {"actions": np.zeros(2, np.float32)}
 
     def cleanup(self) -> None:

@@ -1,6 +1,6 @@
-"""MkDocs hook: the site has the repository's documents under their own paths, so that their links hold there as well.
+"""MkDocs hook that builds the site from the repository's documents, under the same paths, so that their links work.
 
-Adds the API reference and the quickstart notebook as pages. Changes no document.
+Adds the API reference and the quickstart notebook as pages. Changes no document of the repository.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ API = {
     "schemas": ("Plans and episodes", ("schemas.plan", "schemas.config", "schemas.terms", "schemas.episode")),
     "extend": ("Extension points", ("workers.experts.base", "workers.render", "factory.export.base")),
 }
-"""Page -> title and modules of the API reference."""
+"""Name of each page of the API reference -> title of the page and modules that it documents."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Replaces the files of `docs_dir` by those of the repository."""
+    """Replaces the files of `docs_dir` with the documents of the repository, and adds the generated pages."""
     site = Files([file for file in files if file.src_dir != config.docs_dir])
     for path in sorted(_documents()):
         site.append(File(path, str(ROOT), config.site_dir, config.use_directory_urls))
@@ -44,20 +44,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Leads links to the notebook to its page."""
+    """Changes links to the quickstart notebook into links to the page that is generated from it."""
     return markdown.replace("quickstart.ipynb)", "quickstart.md)")
 
 
 def on_post_build(config: MkDocsConfig) -> None:
-    """Fails when a page loads something from another server.
+    """Checks that no page loads a script, an image or a style sheet from another server.
 
     Raises:
-        PluginError: it does.
+        PluginError: a page does.
     """
     for page in Path(config.site_dir).rglob("*.html"):
         found = re.search(r'src="https?://|<link[^>]*stylesheet[^>]*https?://', page.read_text(encoding="utf-8"))
         if found:
-            raise PluginError(f"{page} needs the network: {found.group()}")
+            raise PluginError(f"{page} loads a file from another server: {found.group()}")
 
 
 def _documents() -> list[str]:

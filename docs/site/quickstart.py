@@ -1,4 +1,4 @@
-"""Executes a notebook from an empty folder and stores its outputs in it; removes what differs from run to run."""
+"""Executes a notebook in an empty folder and saves it with its outputs, without the parts that differ between runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def execute(path: Path) -> None:
 
 
 def _tidy(notebook: NotebookNode, folder: str) -> None:
-    """Removes names of the machine's folders, terminal colours and messages on stderr."""
+    """Removes the path of the temporary folder, terminal colours and messages on stderr from the outputs."""
     notebook.metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
     for number, cell in enumerate(notebook.cells, 1):
         cell.id, cell.metadata = f"cell-{number:02d}", {}

@@ -1,8 +1,7 @@
-"""Renders the pictures of docs/scenes: views, frames, categories and map of the paper's scenes; maps and views of
-families.
+"""Renders the pictures of docs/scenes.
 
-A family has one sheet of maps and one of views, each with its first twelve layouts. Seeds without a layout are
-omitted.
+For the layout of each paper scene: views, frames, categories and map. For each family: a sheet of maps and a sheet of
+views, with its first twelve layouts. Seeds for which the builder finds no layout are omitted.
 
 python docs/site/scene_pictures.py [FAMILY ...]
 """
@@ -38,7 +37,7 @@ GAP_PX = 4
 
 
 def main(families: Sequence[str]) -> None:
-    """Writes the two sheets of each family, and the pictures of the layout of the paper or of the categories."""
+    """Writes the sheets of each family, and the pictures of the paper's layout if the family has one."""
     for family in families:
         if family in PAPER_SCENES:
             draw_paper_scene(family)
@@ -46,7 +45,7 @@ def main(families: Sequence[str]) -> None:
 
 
 def draw_paper_scene(scene: str) -> None:
-    """Writes four pictures of a layout of the paper."""
+    """Writes the views, frames, categories and map of a layout of the paper."""
     with tempfile.TemporaryDirectory() as folder:
         rendered = Path(folder)
         subprocess.run(["factory", "scene", "render", scene, "-o", folder], check=True, stdout=subprocess.DEVNULL)
@@ -59,8 +58,10 @@ def draw_paper_scene(scene: str) -> None:
 
 
 def draw_family(family: str) -> None:
-    """Writes the maps and a view of the first layouts of a family; the categories of the first one, if none of the
-    paper's layouts shows them."""
+    """Writes the maps and views of the first layouts of a family.
+
+    Also writes the categories of the first layout, unless `draw_paper_scene` writes them for this family.
+    """
     maps: list[Image.Image] = []
     views: list[Image.Image] = []
     for scene in islice(layouts(family), LAYOUTS):
@@ -84,7 +85,7 @@ def layouts(family: str) -> Iterator[CompiledScene]:
 
 
 def draw_categories(scene: CompiledScene, family: str) -> None:
-    """Writes the variants of the objects of a layout."""
+    """Writes a picture with the object variants of each category of a layout."""
     with open_renderer("auto", 400) as eye:
         categories = draw_sheet(eye, scene, variants(scene.info.targets))
     categories.thumbnail((1400, 1600))
@@ -101,12 +102,15 @@ def draw_view(scene: CompiledScene, rank: int) -> Image.Image:
 
 
 def opened(folder: Path, pattern: str) -> list[Image.Image]:
-    """Returns the pictures whose names match, in the order of their names."""
+    """Opens the pictures of a folder whose file names match a pattern, in the order of their names."""
     return [Image.open(path) for path in sorted(folder.glob(pattern))]
 
 
 def tile(pictures: Sequence[Image.Image], columns: int, size_px: int, fill: str | None = None) -> Image.Image:
-    """Returns the pictures in rows of `columns` squares of `size_px`; with `fill`, they keep their proportions."""
+    """Returns one picture with all pictures in rows of `columns` squares of `size_px` pixels.
+
+    Without `fill`, a picture is stretched to its square; with `fill`, it is padded with this colour.
+    """
     rows, step = -(-len(pictures) // columns), size_px + GAP_PX
     sheet = Image.new("RGB", (columns * step - GAP_PX, rows * step - GAP_PX), fill or "white")
     for number, original in enumerate(pictures):

@@ -1,9 +1,9 @@
-"""Draws the pages of the web page of a dataset in Chromium: all of them for an inspection, or those of docs/web.
+"""Takes screenshots of the web page of a dataset in Chromium: of all pages for an inspection, or those of docs/web.
 
 python docs/site/web_pictures.py DATASET --eval RESULTS -o FOLDER     every page, in three widths, light and dark
 python docs/site/web_pictures.py DATASET --eval RESULTS --docs        the pictures of docs/web
 
-The evaluation needs two policies. Needs the extras `web` and `dev`, and Chromium.
+RESULTS must contain at least two policies. Needs the extras `web` and `dev`, and Chromium.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from factory.web.start import serve
 
 FOLDER = Path(__file__).parents[1] / "web"
 WINDOWS = ((360, "dark"), (1280, "light"), (3840, "dark"), (360, "light"), (1280, "dark"), (3840, "light"))
-"""Widths in pixels and colour schemes."""
+"""Width of the window in pixels and colour scheme of each screenshot of a page."""
 COLOURS = 255
 """Number of colours of the pictures of docs/web, so that they stay small."""
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -43,7 +43,7 @@ class Shot(NamedTuple):
     scheme: str
     """`light` or `dark`."""
     shown: int = 0
-    """Width of the picture, pixels; 0 for that of the window."""
+    """Width of the picture, pixels; 0 keeps the width of the window."""
 
 
 DOCS = {
@@ -83,7 +83,7 @@ def main() -> None:
 
 
 def _paths(root: Path, evaluation: Path) -> dict[str, str]:
-    """Returns the path of each page."""
+    """Returns the name and the URL path of each page."""
     dataset, policies = Dataset(root), sorted(path.name for path in (evaluation / "policies").iterdir())
     episode = dataset[len(dataset) // 4]
     name, scene = episode.meta.job.episode_id, episode.meta.job.scene
