@@ -47,7 +47,8 @@ class DemonstrationConfig(Model):
     """Requirements on a demonstration; an attempt that misses one has failed and is repeated from another start."""
 
     max_contact_steps: Annotated[int, Field(ge=0, le=1000)] | None = None
-    """Largest number of steps in which the robot touches anything but the floor; null only records the number."""
+    """Largest number of steps in which the robot touches anything but the floor; null: no limit, only
+    recorded."""
     target_in_view: bool = False
     """Whether the last frame must show the target, with at least `gains.min_mask_px` pixels; the planner then ends its
     paths with the target ahead."""
@@ -146,8 +147,8 @@ class InstructionConfig(Model):
     """Parameters of the instructions (docs/design/starts.md#start-view)."""
 
     unique: Literal["scene", "view", "off"] = "off"
-    """Area in which an instruction fits exactly one object: with `scene` the scene; with `view` the scene or, if
-    several objects fit there, the view at the start. `off` sets no condition."""
+    """Where an instruction must fit exactly one object. `scene`: in the scene. `view`: in the scene or in the view at
+    the start. `off`: an instruction may fit several objects."""
 
 
 class ExpertConfig(Model):

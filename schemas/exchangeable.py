@@ -33,8 +33,8 @@ def exchangeable_targets(
 ) -> tuple[Target, ...]:
     """Returns the candidates that could be the target of an episode from its start, in the order of their ids.
 
-    Such an object is in view, at a distance and in a direction of the tier, and its success region does not overlap
-    with the success region of another such object.
+    Such an object is in view, its distance and direction are allowed in the tier, and its success region does not
+    overlap with that of any other candidate that meets these conditions.
 
     Args:
         job: job of the episode, in the near or mid tier.

@@ -29,7 +29,8 @@ from schemas.view import ViewSettings
 EPISODE_ID_FORMAT = "ep_{:06d}"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip", re.ASCII)
 _SAMPLE_KEY, _LANGUAGE_KEY, _QUESTION_KEY = (1,), (23,), (25,)
-"""Spawn keys of the random streams for sampled frames, the sentence and questions; they differ from the attempt's."""
+"""Spawn keys of the random streams for sampled frames, the sentence and questions; the keys differ from those
+of attempts."""
 
 
 def episode_id(index: int) -> str:

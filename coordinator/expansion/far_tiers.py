@@ -51,7 +51,8 @@ def _target(
         return target  # it is not reachable, or has no footprint, which the success measure needs
     # the path along the floor is at least as long as the planar distance
     is_far = Goal.of(target, task).distances(spawns) >= least_m
-    was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight  # as the package records for the success measure
+    # a shorter limit keeps the far tier that the package already records for this success measure
+    was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight
     changes = {"straight": bool((is_far & sees).any()) or was_far, "connected": bool(is_far.any())}
     tiers = [
         tuple(tier for tier in Tier if (holds if tier is Tier.FAR else tier in old))

@@ -1,4 +1,4 @@
-"""Finds the cells of a plan that its scenes cannot fulfil. Draws nothing."""
+"""Finds the cells of a plan that its scenes cannot fulfil."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Selects the templates that a plan permits for a target, and the targets that have one. Draws nothing."""
+"""Selects the templates that a plan permits for a target, and the targets that have one."""
 
 from __future__ import annotations
 

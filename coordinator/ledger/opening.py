@@ -262,8 +262,8 @@ def require_plan(recorded: Plan, plan: Plan) -> None:
     """
     if recorded.digest != plan.digest:
         raise UsageError(
-            f"the directory contains run {recorded.run} ({recorded.episodes} episodes, seed {recorded.seed}), not the "
-            f"requested {plan.run} ({plan.episodes} episodes, seed {plan.seed}): to continue it, run "
+            f"the directory contains run {recorded.run} ({recorded.episodes} episodes, seed {recorded.seed}), but "
+            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}) was requested: to continue it, run "
             "`factory run --out DIR` without PLAN and its options; otherwise choose another --out"
         )
 
@@ -276,10 +276,10 @@ def require_shard(recorded: RunShard | None, shard: RunShard | None) -> None:
     """
     if recorded != shard:
         had = "the whole run" if recorded is None else f"shard {recorded} of the run"
-        asked = "the whole run" if shard is None else f"shard {shard}"
+        asked = "the whole run" if shard is None else f"shard {shard} of it"
         remedy = "without --shard" if recorded is None else f"with --shard {recorded}"
         raise UsageError(
-            f"the directory contains {had}, not the requested {asked}: continue it {remedy}, or choose another --out"
+            f"the directory contains {had}, but {asked} was requested: continue it {remedy}, or choose another --out"
         )
 
 

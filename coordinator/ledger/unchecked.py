@@ -25,7 +25,7 @@ _SUSPECT = (
 
 
 def note_unchecked(connection: Connection, index: int, host: str) -> None:
-    """Records that only its worker has validated an episode; within the transaction that archives it."""
+    """Records that an episode was validated by its worker only. Runs in the transaction that archives it."""
     _ADD.count(connection, {"idx": index, "host": host})
 
 

@@ -1,4 +1,4 @@
-"""Messages between the validator and its child processes: orders, verdicts, limits. Sends nothing."""
+"""Messages between the validator and its child processes: orders, verdicts, limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads the input of a report from a dataset. Omits unreadable episodes and scenes with a remark. Draws nothing."""
+"""Reads the input of a report from a dataset. Omits unreadable episodes and scenes with a remark."""
 
 from __future__ import annotations
 

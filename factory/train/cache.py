@@ -2,7 +2,7 @@
 
 A cache is written to a temporary folder and renamed, so that an existing cache is complete. Its name is a digest of all
 inputs: the content of the episodes, the size, the selected frames, and the version of the preprocessing. If several
-trainings need the same cache, the first one writes it under a lock and the others wait. Trains nothing.
+trainings need the same cache, the first one writes it under a lock and the others wait.
 """
 
 from __future__ import annotations

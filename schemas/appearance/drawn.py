@@ -1,4 +1,4 @@
-"""Appearance of one episode: the values of all factors, as they are drawn, recorded and applied. Draws nothing."""
+"""Appearance of one episode: the values of all factors, as they are drawn, recorded and applied."""
 
 from __future__ import annotations
 
@@ -108,6 +108,6 @@ class DrawnAppearance(Model):
 
     @property
     def changes_scene(self) -> bool:
-        """Whether the scene looks different, apart from the camera's pose and lens."""
+        """Whether light, materials, clutter or exposure differ from the compiled scene, apart from pose and lens."""
         exposes = self.camera is not None and self.camera.exposure_stops != 0
         return bool(self.light or self.materials or self.clutter) or exposes

@@ -74,7 +74,7 @@ def test_every_category_of_the_paper_can_be_reached(scene: CompiledScene) -> Non
 
 
 def test_every_category_has_a_path_from_near_mid_and_far(scene: CompiledScene) -> None:
-    """In a family, near and far starts with any path suffice: its rooms are small and its furniture is large."""
+    """In layouts of a family, near and far suffice, and paths may bend: rooms are small, and furniture is large."""
     is_family = scene.info.name not in PAPER_SCENES
     ways = {
         (target.category, tier)

@@ -82,7 +82,7 @@ def test_a_frames_dataset_and_another_run_are_refused(recordings: Recordings, tm
         prepare_rendering(recordings[Recording.FRAMES], site_of(str(tmp_path / "out")))
     other = tmp_path / "other"
     make_dataset(other)
-    with pytest.raises(UsageError, match="not the requested driven-"):
+    with pytest.raises(UsageError, match=r"but driven-\S+ .* was requested"):
         prepare_rendering(recordings[Recording.STATES], site_of(str(other)))
 
 

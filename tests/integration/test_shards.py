@@ -169,7 +169,10 @@ def test_missing_and_unfinished_shards_can_be_joined_on_request(shards):
 
 @pytest.mark.parametrize(
     ("asked", "message"),
-    [("1/4", "contains shard 1/3 of the run, not the requested shard 1/4"), ("2/3", "not the requested shard 2/3")],
+    [
+        ("1/4", "contains shard 1/3 of the run, but shard 1/4 of it was requested"),
+        ("2/3", "but shard 2/3 of it was requested"),
+    ],
 )
 def test_another_shard_or_count_in_the_directory_of_a_shard_is_refused(shards, asked, message):
     site = site_of(shards / "1")
@@ -184,14 +187,14 @@ def test_a_shard_is_recognised_by_its_ledger_if_its_state_file_is_lost(tmp_path,
     generate(site, tmp_path, checker, shard)
     (site.state_dir / "run_shard.json").unlink()
     assert choose_shard(site, None, PLAN, is_new=False) == shard
-    with pytest.raises(UsageError, match="contains shard 1/4 of the run, not the requested the whole run"):
+    with pytest.raises(UsageError, match="contains shard 1/4 of the run, but the whole run was requested"):
         generate(site, tmp_path, checker, None)
 
 
 def test_a_directory_with_the_whole_run_is_refused_as_a_shard(tmp_path, checker):
     whole = site_of(tmp_path / "whole")
     generate(whole, tmp_path, checker, None)
-    with pytest.raises(UsageError, match="contains the whole run, not the requested shard 1/3"):
+    with pytest.raises(UsageError, match="contains the whole run, but shard 1/3 of it was requested"):
         choose_shard(whole, parse_shard("1/3"), PLAN, is_new=False)
 
 

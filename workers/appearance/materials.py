@@ -104,7 +104,7 @@ def draw_materials(
 def _surface_changes(
     kind: str, materials: list[Material], stream: FactorStream, scene: SceneSurfaces
 ) -> list[SurfaceChange]:
-    """Returns changes of walls or floors: surfaces with one texture get the same material; trims keep their colour."""
+    """Returns changes of walls or floors: surfaces with one texture get one material; small ones keep their colour."""
     changes = []
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
     total = sum(scene.area[number] for number in own)

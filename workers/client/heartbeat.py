@@ -124,7 +124,7 @@ class Heartbeat:
             host.phase.stop(0.0)
 
     def _check_for_evaluation(self) -> None:
-        """Ends the work for a collection after the current attempts when an evaluation needs workers."""
+        """Ends the work for a collecting run after the current attempts, if an evaluation needs workers."""
         host = self._host
         is_free = host.run_kind is RunKind.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
         if not is_free or time.monotonic() - self._checked_at < _EVALUATION_CHECK_S:

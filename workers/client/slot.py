@@ -267,7 +267,10 @@ class Slot:
             check(bundle, job)
         except TransientError as error:
             log.warning(
-                "bundle_not_validated", episode=job.episode_id, why=str(error), remedy="the coordinator does it"
+                "bundle_not_validated",
+                episode=job.episode_id,
+                why=str(error),
+                remedy="none needed: the coordinator validates it",
             )
             return False
         return True

@@ -115,8 +115,8 @@ def ends_in_view(
 ) -> bool:
     """Returns whether the target is in view at the end of a planned path.
 
-    Also returns `True` if the job does not require this. Without a path, only the drive can show it, so the result is
-    `True` too.
+    Also returns `True` if the job does not require this, and without a planned path, because the view at the end is
+    then known only after the attempt.
     """
     if not (planned and job.demonstration.target_in_view):
         return True

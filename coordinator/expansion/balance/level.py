@@ -41,7 +41,7 @@ def category_quotas(scenes: Sequence[SceneCells]) -> dict[str, dict[Cell, Counte
 
 
 def level(shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], totals: Counter[str]) -> None:
-    """Levels the totals by exchanges of categories within places, in place.
+    """Levels the totals by exchanging categories within places. Changes `shares` and `totals`.
 
     The sum of squared totals is minimal when no chain of exchanges leads from a category to one with at least two
     episodes fewer (Harvey, Ladner, Lovasz, Tamir: Semi-matchings for bipartite graphs and load balancing, 2006).

@@ -27,7 +27,7 @@ class DeliveryPace(Model):
     pullers: int
     """Number of bundles that are transferred and validated at a time."""
     spot_checks: float | None
-    """Share of bundles that the coordinator validates after their worker; `None`: it validates all bundles."""
+    """Share of bundles that the coordinator validates completely, although their worker did; `None`: all bundles."""
     validated: int
     """Number of episodes that the coordinator validated completely."""
     seconds: float

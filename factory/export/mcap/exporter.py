@@ -44,7 +44,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     facts = EpisodeFacts
 
     def check_rig(self, rig: Rig, options: McapOptions) -> None:  # noqa: ARG002 - frames do not depend on the options
-        """Validates that the frames of the sensors differ."""
+        """Checks that no two coordinate frames of sensors have the same name."""
         require_different_frames(rig)
 
     def write_episode(self, episode: Episode, options: McapOptions, folder: Path) -> EpisodeFacts:

@@ -84,12 +84,12 @@ def explain_planned(statistics: Statistics, group: Tier | Split, asked: float, p
         state = f"{statistics.episodes} of {statistics.planned} generated so far"
     else:
         exact = all(cell.planned == cell.archived for cell in statistics.cells)
-        state = "filled exactly" if exact else "but the cells are not filled exactly"
+        state = "generated as planned" if exact else "not every cell has its planned number"
     counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
     mine = sum(cell.planned for cell in statistics.cells if group in {cell.tier, cell.split})
     quota = _percent(mine / max(1, sum(cell.planned for cell in statistics.cells)))
-    cut = "" if quota == _percent(asked) else f" in all, {quota} of its {statistics.planned} episodes"
-    return f"The plan has {_percent(asked)}{cut}, {state}{counted}."
+    cut = "" if quota == _percent(asked) else f" ({quota} after rounding to its {statistics.planned} episodes)"
+    return f"The plan requests {_percent(asked)}{cut}; {state}{counted}."
 
 
 def explain_largest(statistics: Statistics) -> str:

@@ -26,7 +26,8 @@ _RATIO = (0.75, 1.33)
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""Largest share of the possible change of the room widths in a row that may be used to fill the length of the row."""
+"""The rooms of a row become wider or narrower to fill its length. This is the largest change, as a share of the change
+that the limits of their widths permit."""
 _STEPS = 24
 """Number of bisections of the scale of a floor."""
 
@@ -246,7 +247,7 @@ def _width(spec: RoomSpec, depth: float) -> float:
 
 
 def _floor_of(areas: Sequence[Rectangle]) -> float:
-    """Returns the sum of the areas; 0 if the floor is smaller than its halls, so that an area has no extent."""
+    """Returns the sum of the areas; 0 if one of them has no extent because its halls do not fit on the floor."""
     total = 0.0
     for x0, y0, x1, y1 in areas:  # one loop over the corners, because a floor is divided thousands of times
         width, depth = x1 - x0, y1 - y0

@@ -17,7 +17,7 @@ _ON_DESKS = ("SM_BookPile", "SM_Bouquet", "SM_LampSmall", "SM_Portrait", "SM_Boo
 _ON_WORKTOPS = ("SM_Kettle", "SM_Crockery", "SM_Tray", "SM_FruitBowl")
 _WORK_CHAIRS = ("SM_ChairOffice_A", "SM_ChairOffice_A", "SM_ChairExecutive_B")
 _SEAT_M = 0.62
-"""Length of a table for each chair, metres."""
+"""Length of a table edge that each chair takes, metres."""
 _SIGN_M = 0.16
 """Height of the sign above an entrance, in addition to that of a sign above a door, metres."""
 _ENTRY_M = 1.0

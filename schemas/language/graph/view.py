@@ -105,11 +105,11 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
 
 
 def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:
-    """Returns (N,) objects of which half of the height, or `_TALL_M`, is at a height that the image shows.
+    """Returns (N,) whether half of an object's height, or `_TALL_M` of it, is within the vertical range of the image.
 
     Args:
         graph: scene graph.
-        reach_m: (N,) height above and below the camera that the image shows at the distance of each object, metres.
+        reach_m: (N,) vertical range of the image above and below the camera at the distance of each object, metres.
         camera: camera of the robot.
     """
     eye_m = graph.floor_m + camera.z_m

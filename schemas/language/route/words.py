@@ -84,7 +84,7 @@ class RouteWords(Model):
 
     @cached_property
     def frames(self) -> tuple[SentencePattern, ...]:
-        """Sentence patterns of whole routes; the case is the form of the verbs."""
+        """Sentence patterns of whole routes; the field `case` of a pattern contains the form of its verbs."""
         found = []
         for register, own in self.registers.items():
             texts = [(text, held) for held, group in ((False, own.seen), (True, own.held_out)) for text in group]

@@ -148,7 +148,7 @@ class Footprints:
         return self.rests_on(thing, number)
 
     def carries(self, number: int, *, something: bool) -> Truth:
-        """Returns whether an object has something on its flat top, or nothing."""
+        """Returns whether an object has something on its flat top, or with `something=False`, whether it is empty."""
         top, outline = self._objects[number].top, self._outlines[number]
         if top is None:
             return Truth.MAYBE

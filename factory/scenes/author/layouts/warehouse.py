@@ -1,5 +1,5 @@
 """Layouts of the families `full_warehouse` and `warehouse_multiple_shelves`: a hall of one or more parts with rows of
-racks and shelves, gates, a staging floor, and in most of them rooms for an office, a break and washing.
+racks and shelves, gates, a staging floor, and, in most of them, an office, a break room and a washroom.
 
 The parts, sizes, rows, zones and style differ by seed. `racks` places the rows; `warehouse_floor` furnishes the rest.
 """

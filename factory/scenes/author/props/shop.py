@@ -105,7 +105,7 @@ def checkout(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def freezer(variant: int, rng: Generator) -> list[PropPiece]:
-    """An upright cold case with lit shelves of bottles behind two glass edges."""
+    """An upright refrigerated cabinet: lit shelves of bottles behind a front that a mullion divides."""
     case = (WHITE, painted("Red", 0.4), painted("Blue", 0.4))[variant % 3]
     shell = [
         block((-0.62, 0.26, 0.0), (0.62, 0.32, 1.95)),

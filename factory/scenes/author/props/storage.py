@@ -234,7 +234,7 @@ def _crate_shell(is_topmost: bool) -> list[AuthoredMesh]:
 
 
 def _rail(low: float, high: float, has_inside: bool = False) -> AuthoredMesh:
-    """A rail around the crate between two heights, with a ledge to the filling at its lower and its upper edge.
+    """A rail around the crate between two heights. A ledge at its lower and upper edge joins it to the filling.
 
     The rail is 2 cm thick. With `has_inside`, its inner face replaces the upper ledge.
     """

@@ -327,7 +327,7 @@ def test_the_commands_that_generate_data_are_imported_without_pybullet() -> None
     names = ("run.run", "run.gate", "run.render", "farm.coordinator")
     loaded = loaded_by("import " + ", ".join(f"factory.commands.{name}" for name in names))
     assert "factory.commands.run.run" in loaded
-    assert "pybullet" not in loaded  # without PyBullet, they report which Python versions have it
+    assert "pybullet" not in loaded  # without it, the commands name the Python versions that can install it
 
 
 def commands_below(command: click.Command) -> Iterator[click.Command]:

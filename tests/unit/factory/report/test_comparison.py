@@ -163,12 +163,14 @@ def test_the_share_of_the_three_most_frequent_categories_has_an_interval() -> No
 def test_shares_follow_the_plan() -> None:
     row = found([episode_row(1, split=Split.TEST_ID)], "share of test_id")
     assert row.published == pytest.approx(121 / 1174)
-    assert row.reason.startswith("The plan has 10 %")
+    assert row.reason.startswith("The plan requests 10 %")
 
 
 def test_the_share_of_a_small_plan_is_that_of_its_cells() -> None:
     row = found([episode_row(1)], "share of train_id")  # the plan has 2 episodes, 1 in each scene
-    assert row.reason.startswith("The plan has 60 % in all, 100 % of its 2 episodes, 1 of 2 generated so far")
+    assert row.reason.startswith(
+        "The plan requests 60 % (100 % after rounding to its 2 episodes); 1 of 2 generated so far"
+    )
 
 
 def test_an_empty_dataset_has_no_comparison() -> None:

@@ -1,4 +1,4 @@
-"""Memory of a host: the values that the system reports, or no value if it reports none."""
+"""Memory of a host: the values that the system reports; missing values are `None`."""
 
 from __future__ import annotations
 

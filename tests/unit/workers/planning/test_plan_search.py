@@ -1,4 +1,4 @@
-"""Paths on the grid of a room: forward only, collision-free, deterministic, and none if no path exists."""
+"""Paths on the grid of a room: forward only, collision-free, and deterministic; `None` if no path exists."""
 
 from __future__ import annotations
 

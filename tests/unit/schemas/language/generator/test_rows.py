@@ -1,4 +1,4 @@
-"""Counting objects along one side of the way ahead, such as racks of an aisle; visibility and rooms of the start."""
+"""Counting objects along one side of the way ahead, such as racks of an aisle; what is in view at the start."""
 
 from __future__ import annotations
 
