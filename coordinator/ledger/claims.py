@@ -116,7 +116,7 @@ def claim(
     """Leases the job that has waited longest, or returns the job that the token already holds.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         sid: session id of the worker.
         token: token that the worker chose; a repeated claim carries the same token.
         now: time of the claim.

@@ -20,7 +20,7 @@ def write_memory(connection: Connection, memory: Mapping[str, HostMemory]) -> No
     """Replaces the memory of all hosts.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         memory: memory by name of the host.
     """
     write_info(connection, {_KEY: _BY_HOST.dump_json(dict(memory)).decode()})

@@ -98,7 +98,7 @@ def release(connection: Connection, names: Sequence[str]) -> AdminReply:
     """Resets the strikes of hosts and lifts their bars.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         names: names of hosts; empty selects all hosts with strikes.
     """
     known = {row.host for row in _troubled(connection)}
@@ -128,7 +128,7 @@ def has_failed_everywhere(connection: Connection, job: JobRow, host: str, most: 
     """Returns whether a job failed on at least two hosts and either on `most` hosts or on all available ones.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         job: row of the job that failed.
         host: host of the failed attempt.
         most: number of hosts whose failures suffice; fewer hosts could all be faulty or hostile.

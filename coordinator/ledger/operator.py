@@ -24,7 +24,7 @@ def retry(connection: Connection, indices: Sequence[int], now: datetime) -> Admi
     """Puts failed and cancelled episodes back into the queue with new budgets; attempt numbers continue.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         indices: episode numbers; empty selects all failed episodes.
         now: time of the request.
     """
@@ -36,7 +36,7 @@ def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> Adm
     """Cancels open episodes; a worker that holds one is notified with the reply to its next heartbeat.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         indices: episode numbers; empty selects all open episodes.
         now: time of the request.
     """

@@ -128,7 +128,7 @@ def record_package(
     """Records the package of a layout and inserts the episodes of the layout, if the lease of the build is in force.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         lease: lease of the build.
         announced: digest of the announced file.
         package: digest of the stored package.
@@ -162,7 +162,7 @@ def fail(
     """Records a failed attempt: the next attempt or draw follows, or the job is quarantined or returned to the queue.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         report: report with the reason and the lease.
         now: time of the report.
         budget: limits of attempts, draws and crashes.

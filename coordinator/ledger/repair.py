@@ -101,7 +101,7 @@ def record_whole(
     """Records a validated file as its episode, even if the ledger is at an earlier draw or attempt.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         plan: plan of the run.
         catalog: compiled scenes of the plan.
         receipt: receipt of the validated file.
@@ -129,7 +129,7 @@ def adopt_package(
     """Records the stored package of a layout whose build is open.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         build: job of the build.
         sha256: digest of the package.
         size: size of the package, bytes.
@@ -156,7 +156,7 @@ def record_failures(
     """Records failed attempts in a ledger that lags behind, so that they are not repeated.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         plan: plan of the run.
         catalog: compiled scenes of the plan.
         failures: rows of `attempts.parquet` with draws of the plan.

@@ -44,7 +44,7 @@ def execute(connection: Connection, request: AdminRequest, now: datetime) -> Adm
     """Executes a request and records it. A drain is only recorded: the coordinator executes it.
 
     Args:
-        connection: within a transaction.
+        connection: connection with an open transaction.
         request: the request.
         now: time of the request.
     """

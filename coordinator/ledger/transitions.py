@@ -73,7 +73,7 @@ class Transition:
         """Applies the transition to one job if its state allows the event, and records the event.
 
         Args:
-            connection: within a transaction.
+            connection: connection with an open transaction.
             parameters: values of the bound parameters.
             now: time of the event.
             by: session id of the worker that caused the event; empty for the coordinator.

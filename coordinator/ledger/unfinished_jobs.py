@@ -39,7 +39,7 @@ def end_unfinished_jobs(
     """Quarantines or cancels the pending jobs of a finished shard; returns their number.
 
     Args:
-        connection: within a transaction, after the failed attempts of the shard were recorded.
+        connection: connection with an open transaction, after the failed attempts of the shard were recorded.
         numbers: episode numbers of the shard.
         kept: numbers of the shard's episodes; jobs of damaged or missing files stay pending.
         shard: number and count of the shard.
