@@ -31,7 +31,7 @@ def require_renderer(renderer: RendererKind) -> None:
     process = JsonlProcess(command, child_environment(os.environ), read_report)
     try:
         if process.read(_START_S) is None:
-            raise WorldError(f"--renderer {renderer}: a simulation does not start within {_START_S:g} s")
+            raise WorldError(f"--renderer {renderer}: the simulation did not start within {_START_S:g} s")
     except EOFError as error:
         cause = process.last_stderr_line() or describe_exit(process.wait())
         raise WorldError(f"--renderer {renderer}: {cause}; {_REMEDY}") from error

@@ -84,7 +84,7 @@ class Batch(NamedTuple):
 def augment(batch: Batch, rng: np.random.Generator, mirrored_words: NDArray[np.int64]) -> Batch:
     """Returns the frames with random changes: mirroring, brightness, contrast, and the zoom of some stop frames.
 
-    In the instruction of a mirrored frame, left and right are exchanged.
+    In the instruction of a mirrored frame, left and right are swapped.
 
     The expert stops on the success circle, so no recorded frame shows the view of a robot that is too close. A zoomed
     frame with equally scaled depths approximates such a view; its label is a stop, too.

@@ -52,7 +52,7 @@ def vocabulary(instructions: Iterable[str] = ()) -> tuple[str, ...]:
 
 
 def mirrored_words(words: Sequence[str]) -> NDArray[np.int64]:
-    """Returns the index of each word in the instruction of a mirrored image, (V,): left and right are exchanged.
+    """Returns the index of each word in the instruction of a mirrored image, (V,): left and right are swapped.
 
     Args:
         words: Vocabulary.

@@ -15,7 +15,7 @@ from schemas.base import Fraction, Model, NonNegative
 def _ordered(values: tuple[float, float]) -> tuple[float, float]:
     low, high = values
     if low > high:
-        raise ValueError(f"the first value, {low:g}, must not be greater than the second, {high:g}: exchange them")
+        raise ValueError(f"the first value, {low:g}, must not be greater than the second, {high:g}: swap them")
     return values
 
 

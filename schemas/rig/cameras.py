@@ -74,7 +74,7 @@ class _Camera(MountedSensor):
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:
         if self.near_m >= self.far_m:
-            raise ValueError(f"near_m {self.near_m:g} must be less than far_m {self.far_m:g}: exchange them")
+            raise ValueError(f"near_m {self.near_m:g} must be less than far_m {self.far_m:g}: swap them")
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(
                 f"{self.width} x {self.height} pixels are too many: reduce width or height, so that the image has at "
@@ -234,9 +234,7 @@ class EquirectangularCamera(_Camera):
     @model_validator(mode="after")
     def _is_upright(self) -> Self:
         if self.bottom_deg >= self.top_deg:
-            raise ValueError(
-                f"bottom_deg {self.bottom_deg:g} must be less than top_deg {self.top_deg:g}: exchange them"
-            )
+            raise ValueError(f"bottom_deg {self.bottom_deg:g} must be less than top_deg {self.top_deg:g}: swap them")
         return self
 
 

@@ -27,7 +27,7 @@ class _TriangulationNoise(Model):
     def _range_is_ordered(self) -> Self:
         if self.range_min_m >= self.range_max_m:
             raise ValueError(
-                f"range_min_m {self.range_min_m:g} must be less than range_max_m {self.range_max_m:g}: exchange them"
+                f"range_min_m {self.range_min_m:g} must be less than range_max_m {self.range_max_m:g}: swap them"
             )
         return self
 

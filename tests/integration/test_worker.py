@@ -348,7 +348,7 @@ def test_a_worker_whose_simulations_do_not_start_claims_no_job(tmp_path):
     with coordinator("bundle") as hub:
         with (
             WorkerThread(settings_for(hub.endpoint, tmp_path, command=broken)) as worker,
-            pytest.raises(WorldError, match=r"does not start after 3 tries.*no EGL on this machine"),
+            pytest.raises(WorldError, match=r"did not start after 3 tries.*no EGL on this machine"),
         ):
             worker.join()
         assert not hub.of(Claim)

@@ -95,7 +95,7 @@ class Slot:
             if starts.failures >= _STARTS:
                 command = " ".join(self._host.command)
                 raise WorldError(
-                    f"a simulation does not start after {_STARTS} tries of `{command}`: {report.detail}; run this "
+                    f"a simulation did not start after {_STARTS} tries of `{command}`: {report.detail}; run this "
                     "command manually to see the cause, or choose another --renderer"
                 )
             self._host.pause(pause_s)

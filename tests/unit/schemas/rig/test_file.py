@@ -79,7 +79,7 @@ def test_an_unknown_rig_is_refused_with_the_built_in_ones_and_a_suggestion(tmp_p
         (("mount = { x_m = 0.2, z_m = -0.1 }",), "sensor 'front' at (0.2, 0, -0.1) m is not above the floor: increase"),
         (("mount = { x_m = 0.2 }",), "is not above the floor"),
         (("mount = { x_m = 0.2, z_m = 11 }",), "sensors[0].pinhole.mount.z_m: Input should be less than or equal"),
-        (("near_m = 5", "far_m = 2"), "near_m 5 must be less than far_m 2: exchange them"),
+        (("near_m = 5", "far_m = 2"), "near_m 5 must be less than far_m 2: swap them"),
         (("width = 0",), "greater than or equal to 8 (found 0)"),
         (("width = 100000",), "less than or equal to 4096 (found 100000)"),
         (("width = 4096", "height = 4096"), "4096 x 4096 pixels are too many"),
@@ -108,7 +108,7 @@ def test_a_mistake_in_a_camera_is_named_with_its_remedy(tmp_path: Path, lines: t
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (("range_min_m = 12", "range_max_m = 0.1"), "range_min_m 12 must be less than range_max_m 0.1: exchange them"),
+        (("range_min_m = 12", "range_max_m = 0.1"), "range_min_m 12 must be less than range_max_m 0.1: swap them"),
         (("azimuth_min_deg = 90", "azimuth_max_deg = -90"), "azimuth_min_deg 90 must be less than azimuth_max_deg -90"),
         (("azimuth_min_deg = -360", "azimuth_max_deg = 90"), "span more than 360 degrees"),
         (("elevations_deg = [1, 1]",), "elevations_deg must decrease"),

@@ -41,7 +41,7 @@ def test_each_number_of_each_noise_model_has_bounds(model: type[Any], name: str,
 
 @pytest.mark.parametrize("model", [StereoDepthNoise, StructuredLightNoise])
 def test_inverted_depth_ranges_are_rejected_with_a_remedy(model: type[Any]) -> None:
-    with pytest.raises(ValidationError, match="range_min_m 3 must be less than range_max_m 2: exchange them"):
+    with pytest.raises(ValidationError, match="range_min_m 3 must be less than range_max_m 2: swap them"):
         make(model, range_min_m=3, range_max_m=2)
 
 
