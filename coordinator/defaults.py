@@ -1,4 +1,4 @@
-"""Defaults of the coordinator that its command line shows. Imports nothing, so that help pages are shown fast."""
+"""Defaults of the coordinator that its command line shows. Imports nothing, so help pages are shown fast."""
 
 from __future__ import annotations
 

@@ -193,11 +193,11 @@ class Housekeeping:
     def _limit_leases(self) -> None:
         self._check_clock()
         if not self._room.has_room:
-            self._limit.restart()  # their bundles wait for space; this is not the fault of the workers
+            self._limit.restart()  # the bundles of the leases wait for space, which is not a fault of the workers
         self._run.meters.add(Meter.EXPIRED, self._limit.enforce())
 
     def _check_clock(self) -> None:
-        """Restarts all leases if the wall clock was set, because they end at times of the clock before the change."""
+        """Restarts all leases if the wall clock was set, because their end times refer to the previous clock."""
         jump_s = self._watch.jump_s()
         if jump_s:
             run = self._run

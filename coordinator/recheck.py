@@ -1,6 +1,6 @@
 """Validates the unchecked episodes of barred hosts completely; invalid ones are quarantined and generated again.
 
-The ledger lists the episodes, so that a restarted coordinator continues. Runs no thread.
+The ledger lists the episodes, so a restarted coordinator continues. Runs no thread.
 """
 
 from __future__ import annotations

@@ -82,12 +82,12 @@ class Coordinator(Closing):
             stack.callback(self._tables.write_splits)
             stack.callback(self._tables.write)
             self._pullers = stack.enter_context(self._open_pullers(run, options.find_local_bundle, root, scenes))
-            stack.callback(run.checker.close)  # before the pullers end, so that they do not wait for a long validation
+            stack.callback(run.checker.close)  # before the pullers end, so they do not wait for a long validation
             housekeeping.check_free_space()
             handler = stack.enter_context(self._open_request_handler(run, options.on_joined))
             self._router = stack.enter_context(_open_router(run, options, handler))
             stack.enter_context(PeriodicTasks(housekeeping.table(self._router.admit)))
-            # a separate thread: writing the tables of a large run takes seconds, and leases expire meanwhile
+            # the tables have a separate thread: writing those of a large run takes seconds, and leases expire meanwhile
             tables = {
                 "write_tables": (options.settings.checkpoint_s, self._tables.write),
                 "write_first_tables": (_FIRST_TABLES_S, self._tables.write_first),

@@ -46,12 +46,12 @@ class TableWriter:
             self._changed.set()
 
     def note_change(self) -> None:
-        """Records an archived or lost episode, so that the next `write` writes the tables."""
+        """Records an archived or lost episode, so the next `write` writes the tables."""
         self._changed.set()
         self._is_first_due = not self._are_readable
 
     def write_first(self) -> None:
-        """Writes the tables of a new run once it has an episode, so that the dataset can be read during the run."""
+        """Writes the tables of a new run once it has an episode, so the dataset can be read during the run."""
         if self._is_first_due:
             self.write()
 

@@ -11,7 +11,7 @@ __all__ = ["Dataset"]
 
 
 def __getattr__(name: str) -> Any:
-    """Imports the reader at its first use, so that `import factory` stays light."""
+    """Imports the reader at its first use, so `import factory` stays light."""
     if name == "Dataset":
         from factory.dataset.reader import Dataset
 

@@ -39,7 +39,7 @@ _HOMES = {
     "collate": "factory.dataset.torch",
 }
 
-if "gymnasium" in sys.modules:  # registers the environment, so that the id `minivla:MiniVLANav-v0` works too
+if "gymnasium" in sys.modules:  # registers the environment, so the id `minivla:MiniVLANav-v0` works too
     importlib.import_module("minivla.gym")
 
 

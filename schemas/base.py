@@ -1,6 +1,6 @@
 """Base class of every shared model, and bounded types of numbers and text. Defines no type of the domain.
 
-Messages of a peer are parsed into these types, so that every number, text and list in them is bounded.
+Messages of a peer are parsed into these types, so every number, text and list in them is bounded.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _MOST = 1e9
 
 
 class Model(BaseModel):
-    """Base class of data that crosses a process, file or package: frozen, no unknown fields, no NaN, no infinity."""
+    """Base class of data exchanged between processes, files or packages: frozen, no unknown fields, finite numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null")
 

@@ -161,7 +161,7 @@ class ExpertConfig(Model):
     min_mask_px: Annotated[int, Field(ge=1, le=640 * 640)] = 32
     """Smallest mask of a visible target, pixels."""
     avoidance_speed_mps: Positive = 0.1
-    """Speed limit while an obstacle is near, m/s; above zero, so that a stall can be detected."""
+    """Speed limit while an obstacle is near, m/s; above zero, so a stall can be detected."""
 
 
 class PlannerConfig(Model):

@@ -1,6 +1,6 @@
 """Model of the planned content of an episode: scene, target and instruction. Makes no random choice.
 
-`Job` and `EvalSpec` inherit it, so that their JSON stays flat; planned draws and ledger records contain one; the rows
+`Job` and `EvalSpec` inherit it, so their JSON stays flat; planned draws and ledger records contain one; the rows
 of a dataset's tables take its values under their published column names.
 """
 
@@ -32,7 +32,7 @@ class EpisodeSpec(Model):
 
     @property
     def is_false_premise(self) -> bool:
-        """Whether the instruction names an object that does not exist, so that success is to stop at the start."""
+        """Whether the instruction names an object that does not exist, so success is to stop at the start."""
         return self.split is Split.TEST_FALSE_PREMISE
 
     @staticmethod

@@ -89,7 +89,7 @@ class Job(EpisodeSpec):
     )
     """Requirements on a demonstration; omitted if there are none."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
-    """Content that the episode stores; omitted for frames, so that older digests stay valid."""
+    """Content that the episode stores; omitted for frames, so older digests stay valid."""
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
     """Rendering settings; omitted if they are the default, as in every states recording."""
 

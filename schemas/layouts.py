@@ -1,7 +1,7 @@
 """Distributes the episodes of a family over its layouts, from the plan only: the layouts need not be built.
 
 The family has an exact quota of episodes for each cell of split x tier. The episodes are distributed over the layouts
-in turn, so that two layouts of one kind differ by at most one episode, in total and in each cell. The two kinds are the
+in turn, so two layouts of one kind differ by at most one episode, in total and in each cell. The two kinds are the
 layouts of the unseen-scene splits, which are the last ones, and all others. Pure functions.
 """
 

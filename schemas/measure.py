@@ -33,8 +33,8 @@ STOPPED_RPS = 0.05
 
 
 def hold_steps_of(spec: EpisodeSpec, task: TaskConfig) -> int:
-    """Returns the number of stationary steps that make a success. With a false premise, these are at least the steps of
-    one second, because a robot that starts to drive is stationary for a few steps, too."""
+    """Returns the number of stationary steps that make a success. With a false premise, it is at least the number of
+    steps in one second, because a robot that is about to drive is stationary for a few steps, too."""
     return max(task.hold_steps, task.control_hz) if spec.is_false_premise else task.hold_steps
 
 

@@ -84,7 +84,7 @@ class Plan(Model):
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Controller that drives."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
-    """Content that an episode stores; omitted for frames, so that older digests stay valid."""
+    """Content that an episode stores; omitted for frames, so older digests stay valid."""
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
     """Sensors that a recording of frames stores in addition to the recorded camera, and the default rig of readers of a
     recording of states; null and omitted for none."""
@@ -95,8 +95,8 @@ class Plan(Model):
     """Whether instructions may name colours; with `off`, as in the published data, every colour is unknown and no
     template names a colour."""
     balance: Literal["instances", "categories", "categories_overall"] = "instances"
-    """Even choice over the target instances (as in the paper), over the categories of each scene first, or over the
-    categories of all scenes first."""
+    """What occurs equally often: target instances, as in the paper; the categories of each scene, then their instances;
+    or the categories of all scenes together, then their instances."""
     disjoint_instances: bool = False
     """Whether training and the evaluation of seen categories use different instances if a scene has enough of them."""
     instructions: InstructionConfig = Field(
@@ -233,7 +233,7 @@ class Plan(Model):
     @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the plan; plans with equal digests describe the same dataset."""
-        # cached, because every claimed job needs it; the JSON is parsed again, so that 1 and 1.0 give one digest
+        # cached, because every claimed job needs it; the JSON is parsed again, so 1 and 1.0 give one digest
         text = canonical_json(Plan.model_validate_json(self.model_dump_json()))
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -269,7 +269,7 @@ def _exchange_faults(plan: Plan) -> list[str]:
     found = []
     if plan.expert is not ExpertName.PLANNER:
         found.append(
-            f"language.exchangeable: the expert {plan.expert} drives straight, so that few objects in view could be "
+            f"language.exchangeable: the expert {plan.expert} drives straight, so few objects in view could be "
             'the target: set expert = "planner"'
         )
     if any(plan.tiers_of(scene).get(Tier.FAR) for scene in plan.scenes):

@@ -33,7 +33,7 @@ _LATER_KEYS = frozenset(
     {"rules", "targets", "allow_outside", "ceiling_m", "tiers", "splits", "ambiguous", "screening"}
     | {"unit", "up", "models", "skip_missing", "floor_m", "layouts", "unseen_layouts"}
 )
-"""Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
+"""Keys added after the first version; they are omitted from the digest if unused, so older digests stay valid."""
 
 
 class ScenePlan(Model):
@@ -41,7 +41,7 @@ class ScenePlan(Model):
 
     file: str | None = Field(default=None, validation_alias=AliasChoices("file", "usd"))
     """Path of the root file of a custom scene, relative to the plan file; null for a built-in scene. Serialised as
-    `usd`, its earlier name, so that older digests stay valid."""
+    `usd`, its earlier name, so older digests stay valid."""
     name: Name
     """Name of a built-in scene, or the name of a custom scene in the dataset."""
     episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]

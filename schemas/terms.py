@@ -86,7 +86,7 @@ class Screening(StrEnum):
     """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""
 
     NONE = "none"  # any free pose of the tier, as published: drives may fail
-    SIGHT = "sight"  # as `none`, but near and mid starts are in sight of the target, as in a room without inner walls
+    SIGHT = "sight"  # as `none`, but near and mid starts have a line of sight to the target
     FREE_LINE = "free_line"  # the straight line to the success circle is free
     FORESEEN = "foreseen"  # as `free_line`, preferring a start whose predicted drive touches nothing
 
@@ -123,7 +123,7 @@ class FailReason(StrEnum):
 
     @property
     def is_task_failure(self) -> bool:
-        """Whether seed and scene caused the failure, so that a repetition of the attempt would fail again."""
+        """Whether seed and scene caused the failure, so a repetition of the attempt would fail again."""
         return self not in {FailReason.INVALID, FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}
 
     @property

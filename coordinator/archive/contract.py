@@ -144,4 +144,4 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """
 
     def close(self) -> None:
-        """Releases the dataset, so that another coordinator can open it."""
+        """Releases the dataset, so another coordinator can open it."""

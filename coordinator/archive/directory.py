@@ -183,7 +183,7 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
             yield part
 
     def close(self) -> None:
-        """Releases the directory, so that another coordinator can open it."""
+        """Releases the directory, so another coordinator can open it."""
         self._syncing.shutdown()
         self._staging.close()
 

@@ -1,7 +1,7 @@
 """Archive in object storage: an episode is one conditional put of a local part file.
 
 Part files and the lock file are stored in a local directory, the state directory. A lock object in the store names the
-state directory whose coordinator may write. The lock object is created once and does not expire, so that a coordinator
+state directory whose coordinator may write. The lock object is created once and does not expire, so a coordinator
 that was suspended for a while keeps the dataset. The module does not overwrite an episode and does not read bundle
 contents.
 """
@@ -119,7 +119,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return self.root / file_name_of(episode_id(index))
 
     def _listing(self) -> Iterator[tuple[int | None, ObjectPath]]:
-        # the listing includes the sizes, so that no request is needed for the size of a path
+        # the listing includes the sizes, so no request is needed for the size of a path
         for path in (self.root / EPISODES).walk():
             index = index_of_file(path.name)
             yield index if index is not None and path == self._file_of(index) else None, path
@@ -128,7 +128,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         final = self.root / EPISODES / name
         try:
             self._put_new(final.key, part)
-        except FileExistsError:  # a retried put after a lost response, or a damaged object
+        except FileExistsError:  # an earlier put, whose response was lost, created the object, or the object is damaged
             if digest_of(final) != digest_of(part):
                 self._objects.put(final.key, part.read_bytes())
 
@@ -175,7 +175,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
 
     def _keep(self, source: Path, place: Place) -> None:
         assert isinstance(place, ObjectPath), place
-        with contextlib.suppress(FileExistsError):  # a retried put after a lost response
+        with contextlib.suppress(FileExistsError):  # an earlier put, whose response was lost, created the object
             self._put_new(place.key, source)
 
     def _drop(self, place: Place) -> None:
@@ -210,7 +210,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             self._objects.put_new(_LOCK, mine)
         except FileExistsError as error:
             holder = _holder(self.root)
-            if holder.get("home") != self._id:  # else an earlier process with this state directory left it
+            if holder.get("home") != self._id:  # otherwise an earlier process with this state directory left the lock
                 raise WorldError(
                     f"{self.root} is in use by another coordinator, that of {holder.get('directory')} on host "
                     f"{holder.get('host')}; stop it first, or choose another --out. If it will not run again: "
@@ -222,12 +222,12 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             return
         self._objects.delete(_LOCK)
         raise WorldError(
-            f"{self.root}: the object store ignores conditional writes (If-None-Match), so that two "
+            f"{self.root}: the object store ignores conditional writes (If-None-Match), so two "
             "coordinators could overwrite each other's files: use a store that supports conditional writes"
         )
 
     def close(self) -> None:
-        """Releases the dataset, so that a run with another local directory can open it."""
+        """Releases the dataset, so a run with another local directory can open it."""
         try:
             if _holder(self.root).get("home") == self._id:
                 self._objects.delete(_LOCK)

@@ -241,7 +241,7 @@ class PackingArchive(ABC):
         intact = ShardIndex.of(self.root / EPISODES, [found])
         shard = self._write_shard(((index, path.read_bytes()) for index, path in intact), *range_of_shard(place.name))
         reason = f"{damage}; {len(intact)} intact episodes are kept in {shard.name}" if len(intact) else damage
-        # with equal names, only the ZIP directory was damaged, and the new shard has replaced the file
+        # if the names are equal, only the ZIP directory was damaged, and the new shard has replaced the damaged file
         if shard.name != place.name:
             self._set_aside(place, reason)
         log.warning("shard_damaged", shard=str(place), why=reason, remedy="missing episodes are generated again")

@@ -1,6 +1,6 @@
 """Base class of archives: stores compiled scenes and the textures that they share. Independent of the storage.
 
-The textures of a scene are stored before its package, so that an interruption leaves at most textures that no package
+The textures of a scene are stored before its package, so an interruption leaves at most textures that no package
 needs; `sweep_textures` deletes them. The module does not decode scenes.
 """
 

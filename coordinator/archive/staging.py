@@ -164,7 +164,7 @@ class Staging:
             return shutil.disk_usage(self.root).free
 
     def close(self) -> None:
-        """Releases the directory, so that another coordinator can open it."""
+        """Releases the directory, so another coordinator can open it."""
         os.close(self._lock)
 
 
@@ -224,6 +224,6 @@ def _lock(path: Path, dataset: str) -> int:
 def _clear(directory: Path) -> None:
     for path in directory.iterdir():
         if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)  # folder into which a layout was unpacked
+            shutil.rmtree(path)  # the path is a folder into which a layout was unpacked
         else:
             path.unlink()

@@ -34,11 +34,11 @@ _PAPER = Plan(
 )
 """1174 episodes with the paper's shares, seed and expert, and a braking limit fitted to the published drives.
 Starts are not screened, except in the office: the paper's office is one open room, but this office has inner walls, so
-that its near and mid starts need sight of the target
+its near and mid starts need sight of the target
 (docs/decisions/0154-start-papers-office-episodes-in-sight-of-the-target.md)."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
-"""Categories by scene of which almost every start shows several objects
+"""Categories of each scene of which several objects are in view from almost every start
 (docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
 
 

@@ -64,7 +64,7 @@ def expand_each(plan: Plan, catalog: Catalog) -> Iterator[PlannedJob]:
     Cells of scene x tier x split have their exact Webster quota. Within a scene, targets and templates are sampled
     evenly. With `plan.balance == "categories"` the category is sampled first; with `categories_overall`, each cell has
     an exact quota of each category, which makes the categories of the whole plan as even as its scenes permit.
-    The draws of a layout depend on the plan and on the package of the layout only, so that memory holds one layout at a
+    The draws of a layout depend on the plan and on the package of the layout only, so memory holds one layout at a
     time.
     The layouts that the catalog lacks are omitted.
 
@@ -143,7 +143,7 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
 
     The first redraws keep the category; later redraws use all targets of the cell. With `categories_overall`, half of
     all draws keep the category. If no other target exists, the template changes. The result depends on plan, scene,
-    index and draw only, so that it does not depend on which worker failed or when.
+    index and draw only, so it does not depend on which worker failed or when.
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))

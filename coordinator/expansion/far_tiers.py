@@ -48,10 +48,10 @@ def _target(
 ) -> Target:
     straight, connected = (getattr(target, field) for field in _FIELDS[task.success])
     if not connected:
-        return target  # it is not reachable, or has no footprint, which the success measure needs
-    # the path along the floor is at least as long as the planar distance
+        return target  # the target is not reachable, or has no footprint, which the success measure needs
+    # the planar distance suffices, because the path along the floor is at least as long
     is_far = Goal.of(target, task).distances(spawns) >= least_m
-    # a shorter limit keeps the far tier that the package already records for this success measure
+    # the package records the far tier for the default limit; a start beyond it is also beyond a shorter limit
     was_far = least_m < FAR_FLOOR_M[0] and Tier.FAR in straight
     changes = {"straight": bool((is_far & sees).any()) or was_far, "connected": bool(is_far.any())}
     tiers = [

@@ -92,7 +92,7 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
         return plan
     try:
         return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
-    except (ValueError, OSError, RuntimeError) as error:  # a NUL byte, or a symbolic link loop
+    except (ValueError, OSError, RuntimeError) as error:  # a path has a NUL byte, or symbolic links form a loop
         raise InvalidPlan(f"{where} is not a valid plan", [f"a file of its scenes cannot be found: {error}"]) from error
 
 

@@ -76,7 +76,7 @@ def shared_categories(sides: Sides, entry: SceneEntry) -> tuple[str, ...]:
 def _divide(plan: Plan, scene: ScenePlan, group: list[Target], wanted: Mapping[Side, int]) -> dict[str, Side]:
     if len(group) == 1:
         return {group[0].target_id: Side.SHARED}
-    # targets with starts in the most tiers come first, so that both sides get some of these targets
+    # targets with starts in the most tiers come first, so both sides get some of these targets
     group = sorted(group, key=lambda target: -len(startable_tiers(plan, scene, target)))
     order = webster_sequence({side: float(count) for side, count in wanted.items()}, len(group))
     for side in wanted:

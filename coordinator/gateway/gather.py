@@ -191,7 +191,7 @@ def _copy(archive: Archive, one: _Wanted, path: FilePlace) -> str:
             with path.open("rb") as file:
                 while staged.size <= one.size and (block := file.read(_COPY_BYTES)):
                     staged.write(block)
-        except OSError as error:  # an error of the source; the archive raises WorldError
+        except OSError as error:  # the source cannot be read; the archive raises WorldError
             return f"{path} cannot be read: {error.strerror}"
         if staged.sha256 != one.sha256:
             return f"{path} has SHA-256 {staged.sha256}, but {one.sha256} in the ledger"

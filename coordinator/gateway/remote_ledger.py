@@ -1,6 +1,6 @@
 """Ledger of a gateway: operations of its pullers as requests to the core, and the owner file of its directory.
 
-`gateway.json` records the run and the gateway that own a directory, so that no gateway uses the episodes of another.
+`gateway.json` records the run and the gateway that own a directory, so no gateway uses the episodes of another.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class Gateway(Closing):
             self.run = self._join(root, name, checker, stop)
             """Name of the run."""
             self._pullers = stack.enter_context(self._open_pullers(checker))
-            stack.callback(checker.close)  # before the pullers end, so that they do not wait for a long validation
+            stack.callback(checker.close)  # before the pullers end, so they do not wait for a long validation
             stack.callback(stop.set)
             self._periodic_tasks = stack.enter_context(self._open_periodic_tasks())
             self._stack = stack.pop_all()

@@ -125,7 +125,7 @@ def built_layouts(connection: Connection, episodes: int) -> dict[str, str]:
 
     Args:
         connection: open ledger.
-        episodes: number of planned episodes; builds have larger numbers, so that no job of an episode is read.
+        episodes: number of planned episodes; builds have larger numbers, so no job of an episode is read.
     """
     query = select(jobs.c.scene, jobs.c.sha256, jobs.c.state).where(jobs.c.idx > episodes, jobs.c.tier == BUILD)
     return {row.scene: row.sha256 for row in connection.execute(query) if row.state == JobState.ARCHIVED}

@@ -1,8 +1,8 @@
 """Records the workers of a run, and failures of hosts: strikes, pauses and bars. Does not change jobs.
 
 A host with a strike gets one job at a time; each episode that it delivers halves its strikes. A failure is attributed
-to the job only if the job failed on as many hosts as its crash budget, on all available hosts, or for a long time on
-the only host. Until then it is attributed to the host.
+to the job only if the job failed on `budget.crashes` hosts, on all available hosts (at least two), or for a long time
+on the only host. Until then it is attributed to the host.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def release(connection: Connection, names: Sequence[str]) -> AdminReply:
     if freed:
         clean = {"strikes": 0, "last_job": 0, "resumes_at": 0.0, "barred_at": None, "reason": ""}
         connection.execute(update(hosts).where(hosts.c.host.in_(freed)).values(clean))
-    unknown = {name: "it is not barred, and does not pause" for name in names if name not in known}
+    unknown = {name: "neither barred nor limited" for name in names if name not in known}
     return AdminReply(changed=(), hosts=freed, refused_hosts=unknown)
 
 

@@ -153,7 +153,7 @@ def record_failures(
     now: datetime,
     whole: Mapping[int, tuple[int, int]],
 ) -> None:
-    """Records failed attempts in a ledger that lags behind, so that they are not repeated.
+    """Records failed attempts in a ledger that lags behind, so they are not repeated.
 
     Args:
         connection: connection with an open transaction.

@@ -108,7 +108,7 @@ def record_attempt(
         before: row of the job under the lease.
         outcome: success, a fail reason or `expired`.
         now: time of the outcome.
-        settles: whether the outcome is final, so that the attempt is not repeated.
+        settles: whether the outcome is final, so the attempt is not repeated.
         detail: description with measured values.
         steps: number of simulated steps.
         seconds: wall time, seconds.

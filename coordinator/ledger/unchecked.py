@@ -47,7 +47,7 @@ def suspects(connection: Connection, most: int) -> Sequence[int]:
 def bar_at_once(connection: Connection, host: str, reason: str, now: datetime) -> None:
     """Bars a host that announced an invalid bundle as valid; within the transaction that refuses the bundle.
 
-    The caller has recorded the failure before, so that the host has a row in the table `hosts`.
+    The caller has recorded the failure before, so the host has a row in the table `hosts`.
     """
     at = {"barred_at": now.timestamp(), "reason": reason}
     connection.execute(hosts.update().where(hosts.c.host == host, hosts.c.barred_at.is_(None)).values(at))

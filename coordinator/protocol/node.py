@@ -86,7 +86,7 @@ class ZenohNode(Closing):
     def fetch(self, run: str, sid: str, ranges: Sequence[BundleRange], timeout_s: float) -> bytes:
         """Requests ranges of spooled bundles from a worker, in one reply.
 
-        There is no retry, so that a frozen worker does not block a puller.
+        There is no retry, so a frozen worker does not block a puller.
 
         Raises:
             TransientError: no reply arrived in time, or the reply has the wrong length.

@@ -73,7 +73,7 @@ returns `None` if the worker must simulate the job."""
 
 
 def simulate_all(_job: Job) -> None:
-    """Returns no recording, so that every job is simulated."""
+    """Returns no recording, so every job is simulated."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,8 @@ def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: dateti
         now,
         terms.plan.budget,
         lambda planned: redraw(terms.plan, terms.catalog, planned),
-        blames_hosts=terms.evaluation is None,  # an evaluation reports each failure at once; users can repeat it
+        # an evaluation bars no hosts: it reports each failure at once, and users can repeat it
+        blames_hosts=terms.evaluation is None,
     )
 
 
@@ -280,7 +281,7 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> Pull:
     if row.tier == BUILD:
         build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
-        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # never via a gateway
+        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # no gateway pulls the package of a layout
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     candidates = candidates_of(job, terms.catalog[job.scene].info)
     return Pull(lease_of(row), sid, row.sha256, row.size, job, candidates, via, is_validated)

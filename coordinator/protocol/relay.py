@@ -1,6 +1,6 @@
 """Defines the messages between a gateway and its core: orders, results and inventories. Contains no behaviour.
 
-Every message is idempotent. The request key names the gateway, so that access control binds it to its certificate.
+Every message is idempotent. The request key names the gateway, so access control binds it to its certificate.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Inventory(Model):
     files: Annotated[tuple[tuple[Ordinal, Bytes], ...], Field(max_length=MAX_FILES), FailFast()]
     """Episode number and size (bytes) of each file."""
     is_new: bool = False
-    """Whether the directory was just created. The core then refuses if it has records of the gateway, so that no
+    """Whether the directory was just created. The core then refuses if it has records of the gateway, so no
     episode is marked as lost."""
 
 

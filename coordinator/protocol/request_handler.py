@@ -33,7 +33,7 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 
 _HOST_SHARE = 8
-"""Divisor of the total limits for the limits of one host, so that several busy hosts leave capacity for others."""
+"""Divisor of the total limits for the limits of one host, so several busy hosts leave capacity for others."""
 _READS_WAITING = 16
 _WAITING_BYTES = 16 << 20
 """Maximum total size of messages that wait for the ledger, bytes; a parsed message takes ten times as much memory."""
@@ -146,7 +146,7 @@ class RequestHandler(Closing):
     def note_gone(self, sid: str) -> None:
         """Shortens the leases of a worker whose connection closed; the worker may reconnect."""
         if self._writer.backlog > self._backlog:
-            return  # the leases expire anyway, only later
+            return  # the leases expire later without this request
         hint_s = self._terms.lease_ttl_s / 2
         self._writer.submit(lambda connection: claims.shorten(connection, sid, self._clock(), hint_s))
 

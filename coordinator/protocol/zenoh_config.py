@@ -2,7 +2,7 @@
 
 Reasons: docs/design/protocol.md#zenoh-settings.
 
-The module opens no session. Bundles are transferred in chunks, so that no message needs to be large.
+The module opens no session. Bundles are transferred in chunks, so no message needs to be large.
 """
 
 from __future__ import annotations

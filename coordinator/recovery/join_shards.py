@@ -251,7 +251,7 @@ def _copy(archive: Archive, index: int, path: FilePlace, classifier: StrayClassi
         try:
             for block in _blocks(path):
                 staged.write(block)
-        except OSError as error:  # an error of the source; the archive raises WorldError
+        except OSError as error:  # the source cannot be read; the archive raises WorldError
             return f"{path} cannot be read: {error.strerror}"
         verdict = classifier.classify(staged.path, index)
         if not isinstance(verdict, str):

@@ -1,6 +1,6 @@
 """Reconciles the ledger with the archive at start: adopts, quarantines or requeues episodes after an interruption.
 
-An unusable ledger is quarantined first, so that a new ledger is created and rebuilt from the episodes.
+An unusable ledger is quarantined first, so a new ledger is created and rebuilt from the episodes.
 
 The reconciliation runs before any other writer. If the ledger was lost or restored from an older copy, every intact
 episode of the plan is adopted. The module does not delete files that could be episodes.
@@ -85,7 +85,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
         for index in difference.missing:
             _requeue(connection, index, now, GONE, result)
         for index in difference.elsewhere:
-            record_at_core(connection, index)  # `factory gather` was interrupted before it did this
+            record_at_core(connection, index)  # `factory gather` was interrupted before it recorded this
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     changed = {index: words for index, words in difference.changed.items() if recorded[index].gateway is None}
     _settle(archive, engine, terms, now, unsure, verdicts, changed, result)

@@ -107,7 +107,8 @@ def repair(
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
-        actions = list(_of_shards(dataset.root))  # before the archive is opened, which repairs the shards
+        # the shards are inspected before the archive is opened, because opening repairs them
+        actions = list(_of_shards(dataset.root))
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
         trouble = dataset.foreign_ledger or ledger_trouble(dataset.url, dataset.catalog)
         with _reading(dataset.url, trouble) as ledger:
@@ -277,6 +278,6 @@ def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: Epis
 
 
 def _lease_ttl_of(engine: Engine) -> float:
-    """Returns the lease duration in the ledger, so that opening it does not change the duration."""
+    """Returns the lease duration in the ledger, so opening it does not change the duration."""
     with engine.connect() as connection:
         return read_info(connection).lease_ttl_s if holds_run(connection) else _LEASE_TTL_S

@@ -10,14 +10,19 @@ from schemas.base import Model
 class RepairKind(StrEnum):
     """Kind of a repair action."""
 
-    REBUILD = "rebuild"  # the ledger is lost or damaged: rebuilt from plan, tables and archive
-    RESTORE = "restore"  # a scene package or a texture is missing or damaged: taken from the cache or compiled
-    # again; an episode in quarantine is intact and of the plan: moved back and recorded
-    ADOPT = "adopt"  # an intact episode without a ledger record: validated and recorded
-    QUARANTINE = "quarantine"  # a file that is not an intact episode of this plan, or a texture that no scene needs:
-    # moved to the quarantine folder
-    REQUEUE = "requeue"  # a recorded episode without a file: collected again, with the same content
-    REWRITE = "rewrite"  # a table that is missing or differs from the ledger: written again
+    # A lost or damaged ledger is rebuilt from plan, tables and archive.
+    REBUILD = "rebuild"
+    # A missing or damaged scene package or texture is taken from the cache or compiled again; an intact episode of the
+    # plan is moved back from quarantine and recorded.
+    RESTORE = "restore"
+    # An intact episode without a ledger record is validated and recorded.
+    ADOPT = "adopt"
+    # A file that is not an intact episode of this plan, or a texture that no scene needs, is moved to quarantine.
+    QUARANTINE = "quarantine"
+    # A recorded episode without a file is collected again, with the same content.
+    REQUEUE = "requeue"
+    # A table that is missing or differs from the ledger is written again.
+    REWRITE = "rewrite"
 
 
 class Action(Model):

@@ -113,7 +113,7 @@ def _classify(
         result.adopt.append(verdict)
         return
     result.quarantine.append((path, f"{change}; {verdict}" if change else verdict))
-    if change and record is not None and record.gateway is None:  # else the gateway has the file
+    if change and record is not None and record.gateway is None:  # otherwise the gateway has the file
         result.requeue.append((index, change))
 
 

@@ -108,7 +108,7 @@ class HealthMonitor:
         return tuple(found)
 
     def snapshot(self) -> Snapshot:
-        """Returns the metrics, cached for one second, so that frequent requests do not load the ledger."""
+        """Returns the metrics, cached for one second, so frequent requests do not load the ledger."""
         with self._reading:
             if self._last is None or time.monotonic() - self._taken > _FRESH_S:
                 progress, frames = self._read()

@@ -63,7 +63,7 @@ class Exposition:
         return bytes(self._generate(self._registry))
 
     def describe(self) -> list[Metric]:
-        """Returns no metric descriptions, so that registration does not read the metrics."""
+        """Returns no metric descriptions, so registration does not read the metrics."""
         return []
 
     def collect(self) -> Iterator[Metric]:

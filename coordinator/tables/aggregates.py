@@ -100,7 +100,7 @@ def aggregate_failures(table: pa.Table) -> TableAggregates:
 
 
 def _sums(table: pa.Table, keys: list[str], columns: Sequence[str]) -> list[dict[str, Any]]:
-    """Returns row counts and column sums by key; with one thread, so that floating-point sums are reproducible."""
+    """Returns row counts and column sums by key; with one thread, so floating-point sums are reproducible."""
     grouped = table.group_by(keys, use_threads=False)
     found: list[dict[str, Any]] = grouped.aggregate(
         [*((name, "sum") for name in columns), ([], "count_all")]

@@ -1,6 +1,6 @@
 """Writes a table of a dataset in row groups by episode number, and copies the row groups that have not changed.
 
-A copied group has the same bytes as a newly written group, so that the same ledger results in the same file. Bytes
+A copied group has the same bytes as a newly written group, so the same ledger results in the same file. Bytes
 that this process has not written are not copied, because other processes can change the file.
 """
 

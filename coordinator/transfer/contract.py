@@ -68,7 +68,7 @@ class LedgerClient(Protocol):
         """Extends each lease to at least `seconds` from now; returns for each lease whether it is in force."""
 
     def is_owned(self, index: int) -> bool:
-        """Returns whether the ledger records the stored episode, so that its file must not be deleted."""
+        """Returns whether the ledger records the stored episode, so its file must not be deleted."""
 
     def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
         """Records published episodes whose leases are in force; returns for each whether its file is recorded."""
@@ -79,5 +79,5 @@ class LedgerClient(Protocol):
         Args:
             pull: bundle.
             detail: reason.
-            is_false: whether the worker has announced the bundle as valid, so that its host is barred.
+            is_false: whether the worker has announced the bundle as valid, so its host is barred.
         """

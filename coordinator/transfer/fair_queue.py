@@ -22,7 +22,7 @@ class FairQueue(Generic[T]):
     """Thread-safe fair queue.
 
     An owner gets a second turn in service only while no owner with fewer turns in service has waiting items. The
-    service time of a new owner starts at the minimum of the others, so that the new owner is neither preferred nor
+    service time of a new owner starts at the minimum of the others, so the new owner is neither preferred nor
     delayed.
 
     Args:

@@ -100,7 +100,8 @@ class LayoutStore:
         entry = replace(staged, path=self._keep(layout, staged))
         planned = tuple(expand_layout(plan, build.number, plan.spans[layout][0], entry))
         add_files(self.packages, entry)
-        self.catalog[layout] = entry  # before the commit, because workers can claim the episodes immediately after it
+        # set before the commit, because workers can claim the episodes immediately after the commit
+        self.catalog[layout] = entry
         if self.writer.call(
             lambda connection: outcomes.record_package(
                 connection, pull.lease, pull.sha256, entry.sha256, planned, self.clock()

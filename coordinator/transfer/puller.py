@@ -28,7 +28,8 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import Repeated
 
 _QUEUED = 2
-"""Maximum number of bundles of one host per puller of a gateway, including the current one."""
+"""Number of bundles of one host for each puller, waiting or in transfer, from which on the host is busy: a gateway then
+requests no more bundles of it."""
 
 if TYPE_CHECKING:
     from coordinator.transfer.layouts import LayoutStore
@@ -39,7 +40,7 @@ log = structlog.get_logger(__name__)
 class Pullers(Closing):
     """Pool of threads that transfer bundles, one per episode at a time; a context manager.
 
-    Hosts take turns, so that slow hosts do not delay the others. Small bundles of one worker that wait share a turn.
+    Hosts take turns, so slow hosts do not delay the others. The waiting small bundles of one worker share a turn.
     """
 
     def __init__(
@@ -130,7 +131,7 @@ class Pullers(Closing):
         try:
             return [] if self._stop.is_set() else self._advance(host, turn)
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
-            if len(turn) > 1:  # separate turns then show which bundle is faulty
+            if len(turn) > 1:  # a separate turn for each bundle shows which one is faulty
                 log.debug("served_apart", host=host, bundles=len(turn), error=str(error))
                 for transfer in turn:
                     transfer.restart()

@@ -34,7 +34,7 @@ class Refusals:
         Args:
             pull: bundle.
             detail: reason.
-            is_false: whether the worker has announced the bundle as valid, so that its host is barred.
+            is_false: whether the worker has announced the bundle as valid, so its host is barred.
 
         Raises:
             TransientError: the ledger is unavailable.

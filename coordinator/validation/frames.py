@@ -143,7 +143,7 @@ class _FrozenImages:
 
     def take(self, t: int, image: Image) -> list[str]:
         if self._last is None or not _are_same(image, self._last) or not image.any():
-            self._last, self._since, self._told = image, t, False  # empty images may be equal
+            self._last, self._since, self._told = image, t, False  # equal images are permitted if they are empty
             return []
         moved_m = float(np.hypot(*(self._xy[t] - self._xy[self._since])))
         turned = abs(float((self._yaw[t] - self._yaw[self._since] + np.pi) % (2 * np.pi) - np.pi))

@@ -53,7 +53,7 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
 
 
 def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str:
-    """Returns why the sentence is not the error-free sentence with one planned error; empty if it is."""
+    """Returns why the sentence cannot result from one planned error in its error-free version; empty if it can."""
     assert said.clean is not None
     if said.mistake is None or not spec.mistakes.get(said.mistake):
         return "its error is not planned"

@@ -114,7 +114,7 @@ def _goal_findings(meta: EpisodeMeta, track: TrackMeasure, poses: NDArray[np.flo
     except WorldError as error:
         return [str(error)]
     distances = goal.distances(poses[:, :2])
-    if meta.job.is_false_premise:  # then the goal is the start
+    if meta.job.is_false_premise:  # a false premise has no target, so the goal is the start
         distances = np.linalg.norm(poses[:, :2] - poses[0, :2], axis=1)
     return [*_spawn_findings(meta, track, goal), *_success_findings(meta, distances, poses)]
 

@@ -59,8 +59,8 @@ def _allow(rules: Any, seccomp: Any) -> None:
     arg = seccomp.Arg
     for name in ("mmap", "mprotect"):
         rules.add_rule(seccomp.ALLOW, name, arg(2, seccomp.MASKED_EQ, mmap.PROT_EXEC, 0))
-    # glibc uses it for fstat
+    # glibc calls newfstatat for fstat
     rules.add_rule(seccomp.ALLOW, "newfstatat", arg(3, seccomp.MASKED_EQ, _AT_EMPTY_PATH, _AT_EMPTY_PATH))
-    # the CPU time limit of this process, which increases with every task
+    # the process raises its own CPU time limit before every task
     own_cpu = (arg(0, seccomp.EQ, 0), arg(1, seccomp.EQ, resource.RLIMIT_CPU))
     rules.add_rule(seccomp.ALLOW, "prlimit64", *own_cpu)

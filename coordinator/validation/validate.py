@@ -77,7 +77,7 @@ def validate(
 def sampled_frames(meta: EpisodeMeta) -> list[int]:
     """Returns the steps of the first and the last frame and of one frame in `_STRIDE`.
 
-    The content digest selects the steps, so that they differ between episodes.
+    The content digest selects the steps, so they differ between episodes.
     """
     last = meta.rollout.num_steps - 1
     return sorted({0, *range(int(meta.content_digest, 16) % _STRIDE, last, _STRIDE), last})

@@ -80,7 +80,7 @@ class Validator(Closing):
         self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
         self._free: queue.LifoQueue[_Child] = queue.LifoQueue()
         self._all = [_Child(self._limits) for _ in range(children)]
-        # the child used last is used next, so that no more children start than validate at the same time
+        # the child used last is used next, so no more children start than validate at the same time
         for child in self._all:
             self._free.put(child)
 

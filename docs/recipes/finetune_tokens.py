@@ -6,7 +6,7 @@
 Then, from the folder of this file:  VLA_CHECKPOINT=tiny factory eval dataset --policy finetune_tokens:VlaPolicy
 
 An action is two tokens: one of 7 grid points of v and one of 7 grid points of w. They replace the last 14 tokens of the
-vocabulary of the language model (OpenVLA replaces 256), so that the vocabulary does not grow. Needs the extra `train`.
+vocabulary of the language model (OpenVLA replaces 256), so the vocabulary does not grow. Needs the extra `train`.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class PretrainedVla(nn.Module):
 
 
 def batches(dataset, size, seed):
-    """Yields prompts with samples of this prompt, so that no padding is needed; never ends."""
+    """Yields prompts with samples of this prompt, so no padding is needed; never ends."""
     rng = np.random.default_rng(seed)
     while True:
         samples = dataset.__getitems__(rng.integers(0, len(dataset), size).tolist())

@@ -4,7 +4,7 @@ pip install vla-eval 'PATH_OF_A_CLONE[eval]'; then, from the folder of this file
 
     vla-eval run --config vla_eval.yaml --no-docker
 
-Each evaluation episode is a task, so that the results name episodes. A model server gets `images["front"]`, `depth` and
+Each evaluation episode is a task, so the results name episodes. A model server gets `images["front"]`, `depth` and
 `task_description`, and answers with `actions` (v, w). If a model returns several actions, its server sends them singly.
 """
 

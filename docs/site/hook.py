@@ -1,4 +1,4 @@
-"""MkDocs hook that builds the site from the repository's documents, under the same paths, so that their links work.
+"""MkDocs hook that builds the site from the repository's documents, under the same paths, so their links work.
 
 Adds the API reference and the quickstart notebook as pages. Changes no document of the repository.
 """

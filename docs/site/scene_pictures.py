@@ -31,7 +31,7 @@ from workers.render.choose import open_renderer
 LAYOUTS = 12
 TILE_PX = 420
 RANKS = 3
-"""Layouts show their best, second and third view in turn, so that a sheet shows more than the best room of each."""
+"""Layouts show their best, second and third view in turn, so a sheet shows more than the best room of each."""
 FOLDER = Path(__file__).parents[1] / "scenes"
 GAP_PX = 4
 

@@ -27,7 +27,7 @@ FOLDER = Path(__file__).parents[1] / "web"
 WINDOWS = ((360, "dark"), (1280, "light"), (3840, "dark"), (360, "light"), (1280, "dark"), (3840, "light"))
 """Width of the window in pixels and colour scheme of each screenshot of a page."""
 COLOURS = 255
-"""Number of colours of the pictures of docs/web, so that they stay small."""
+"""Number of colours of the pictures of docs/web, so they stay small."""
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 

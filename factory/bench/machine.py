@@ -39,7 +39,7 @@ def resident_mib(pid: int | str = "self") -> float:
 
 
 def reset_peak() -> None:
-    """Resets the peak memory counter of this process, so that the peak excludes the building of scenes.
+    """Resets the peak memory counter of this process, so the peak excludes the building of scenes.
 
     Building a scene needs more memory than simulating in it. Does nothing if the kernel does not support the reset.
     """
@@ -63,7 +63,7 @@ def cpu_s_of_children() -> float:
 
 
 def _peak_mib(pid: int | str) -> float:
-    # not getrusage, whose maximum survives an exec and so includes the memory of the parent process
+    # the maximum of getrusage would survive an exec and so include the memory of the parent process
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmHWM:"):
             return round(int(line.split()[1]) / 1024, 1)

@@ -231,7 +231,7 @@ class WireBench(Model):
     workers_cpu_ms: Spread
     """CPU time of the worker process per cycle, on the same cores, milliseconds."""
     start_s: Spread
-    """Startup time on the filled ledger until it listens, seconds."""
+    """Time from the start of the coordinator with a filled ledger until it listens, seconds."""
     session_load: SessionLoad
     delivery_load: DeliveryLoad
 

@@ -12,7 +12,7 @@ __all__ = ["Dataset", "Episode", "Frame"]
 
 
 def __getattr__(name: str) -> Any:
-    """Imports the reader on first access, so that importing a sibling module does not load it."""
+    """Imports the reader on first access, so importing a sibling module does not load it."""
     if name in __all__:
         return getattr(importlib.import_module("factory.dataset.reader"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -25,7 +25,7 @@ class OpenEpisodes:
         return episode
 
     def trim(self) -> None:
-        """Closes the least recently used episodes, so that `MOST_OPEN` remain."""
+        """Closes the least recently used episodes, so `MOST_OPEN` remain."""
         while len(self._open) > MOST_OPEN:
             self._open.popitem(last=False)[1].close()
 

@@ -122,7 +122,8 @@ def find_package_file(root: Place, name: str, sha256: str) -> Path:
     found = []
     folders = (root / SCENES, *scene_path())
     places = [place for folder in folders for place in packages_of(folder, name)]
-    for place in sorted(places, key=lambda place: sha256[:16] not in place.name):  # most likely first
+    # a package with the digest in its name is read first
+    for place in sorted(places, key=lambda place: sha256[:16] not in place.name):
         path = package_file(place)
         digest = digest_of(path)
         if digest == sha256:

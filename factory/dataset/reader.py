@@ -236,7 +236,8 @@ class Dataset:
         row = bisect_left(numbers, index_of_file(f"{episode_id}.zip") or 0)
         if row < len(names) and names[row].as_py() == episode_id:
             return row
-        return int(pc.index(names, episode_id).as_py())  # unknown id, or unordered rows of a damaged table
+        # the id is unknown, or the rows of a damaged table are unordered
+        return int(pc.index(names, episode_id).as_py())
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.root)!r}, {len(self)} episodes)"

@@ -1,4 +1,4 @@
-"""Order of training samples in which few scenes alternate, so that a renderer prepares each scene once per epoch.
+"""Order of training samples in which few scenes alternate, so a renderer prepares each scene once per epoch.
 
 Reads no files and renders nothing.
 """
@@ -53,7 +53,7 @@ class SceneSampler:
 
     In each epoch, the scenes are divided at random into windows of `scenes` scenes; the samples of a window are
     shuffled. A dataset with at most `scenes` scenes is shuffled as a whole. Each rank of a distributed training gets a
-    contiguous part of the order, so that every sample is used exactly once in an epoch; the numbers of samples of two
+    contiguous part of the order, so every sample is used exactly once in an epoch; the numbers of samples of two
     ranks differ by at most one.
 
     Args:

@@ -57,7 +57,7 @@ class ClipDataset:
     a batch on all cores.
 
     Frames of 640 pixels without antialiasing are those of the recording. Frames of other sizes are rendered, whether
-    the episode stores frames or states, so that both recordings give equal samples (docs/dataset.md#recordings).
+    the episode stores frames or states, so both recordings give equal samples (docs/dataset.md#recordings).
 
     Args:
         dataset: Episodes to read; filter it first if needed.
@@ -116,7 +116,7 @@ class ClipDataset:
             self._sample(episode, first, {name: batch[number] for name, batch in images.items()})
             for number, (episode, first) in enumerate(places)
         ]
-        self._episodes.trim()  # not earlier, because the batch uses open episodes
+        self._episodes.trim()  # episodes are not closed earlier, because the batch uses them
         return FrameBatch(samples, images)
 
     def _allocate(self, count: int) -> dict[str, NDArray[Any]]:

@@ -23,7 +23,7 @@ from schemas.rig import Rig
 
 
 class EpisodeFacts(Model):
-    """Facts that `finish` needs about a piece. Stored as JSON, so that a resumed export can read them."""
+    """Facts that `finish` needs about a piece. Stored as JSON, so a resumed export can read them."""
 
     frames: int
     """Number of frames written."""

@@ -96,7 +96,7 @@ def words_for(kind: InstructionKind, words: Sequence[str] | None, root: Place) -
     Args:
         kind: Encoding of the instruction; only `tokens` has a vocabulary.
         words: Words by index, such as `vocabulary` of an environment; `None` uses the words of the dataset.
-        root: Location of the dataset. The vocabulary includes the instructions of all episodes, so that it is the same
+        root: Location of the dataset. The vocabulary includes the instructions of all episodes, so it is the same
             for all splits.
 
     Raises:

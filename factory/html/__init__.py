@@ -35,13 +35,13 @@ def render(template: str, **values: object) -> str:
 
 
 def compile_templates(folder: str) -> None:
-    """Compiles the templates of a folder of `factory/html/templates` in advance, so that no request waits for this."""
+    """Compiles the templates of a folder of `factory/html/templates` in advance, so no request waits for this."""
     for name in _environment().list_templates(filter_func=lambda name: name.startswith(f"{folder}/")):
         _environment().get_template(name)
 
 
 def data_uri(media_type: str, data: bytes) -> str:
-    """Returns bytes as a data URI, so that the page is self-contained."""
+    """Returns bytes as a data URI, so the page is self-contained."""
     return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
 
 

@@ -105,7 +105,7 @@ def css_variables(dark: bool) -> str:
 
 
 def with_variables(svg: str) -> str:
-    """Replaces the colours of the palette in an SVG by CSS variables, so that it follows the theme of the page."""
+    """Replaces the colours of the palette in an SVG by CSS variables, so it follows the theme of the page."""
 
     def replace(match: re.Match[str]) -> str:
         name = _BY_LIGHT.get(match.group())

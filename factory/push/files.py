@@ -46,7 +46,7 @@ class PushPlan:
     kind: str
     """`dataset` or `export`."""
     files: tuple[PushFile, ...]
-    """Files in the order of upload: data first, then descriptions, so that a description never precedes its data."""
+    """Files in the order of upload: data first, then descriptions, so a description never precedes its data."""
     tag: str | None
     """Tag required by readers of the format: LeRobot's version, such as `v3.0`; `None` for other formats."""
     remarks: tuple[str, ...]

@@ -1,6 +1,6 @@
 """Asks an OpenAI-compatible endpoint for paraphrases of sentence patterns, and keeps those that pass a check.
 
-Answers are kept in a cache file, so that each pattern is sent only once. Writes no instruction.
+Answers are kept in a cache file, so each pattern is sent only once. Writes no instruction.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
     """Refuses redirections, which would send the key to another host."""
 
     def redirect_request(self, *_: Any, **__: Any) -> None:
-        """Returns `None`, so that the redirection becomes an `HTTPError`."""
+        """Returns `None`, so the redirection becomes an `HTTPError`."""
 
 
 _OPENER = urllib.request.build_opener(_NoRedirects)

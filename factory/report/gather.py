@@ -61,7 +61,7 @@ def gather(
     maps, infos = _read_scenes(root, rows, {row.scene for row in chosen})
     drives = Drives()
     if chosen:
-        # sorted, so that each scene is prepared once
+        # sorted, so each scene is prepared once
         for done, row in enumerate(sorted(chosen, key=lambda row: row.scene_sha256), 1):
             _read_drive(root, row, row.episode_id in shown, infos, fits, drives, rows)
             on_progress(done, len(chosen))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 
-# read when numpy is imported: one process, one core
+# numpy reads these variables when it is imported; each process uses one core
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

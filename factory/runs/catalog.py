@@ -1,6 +1,6 @@
 """Provides the compiled scenes of a run: the packages in the dataset, otherwise newly built or imported ones.
 
-A dataset keeps the packages that it was generated with, so that later versions can resume and replay it. Simulates
+A dataset keeps the packages that it was generated with, so later versions can resume and replay it. Simulates
 nothing.
 """
 
@@ -83,7 +83,7 @@ def collect_scenes(
         builds: Settings of the builds of layouts; `None` builds them in this process.
         only: Names of the scenes to build or compile if they are missing. Other missing scenes are omitted from the
             result. `None` selects all scenes.
-        packages: Folder with the package of every scene, so that none is built; `None` uses `root`.
+        packages: Folder with the package of every scene, so none is built; `None` uses `root`.
 
     Raises:
         UsageError: `packages` lacks a scene.

@@ -118,7 +118,7 @@ def run_gate(run: GateRun, stop: threading.Event, tell: Callable[[int], None]) -
 def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
     """Counts trials by tier and reason and compares the share of successes with the required one.
 
-    A crash counts as a failed attempt, because the gate measures whether the scene can be generated at all.
+    A crash counts as a failed attempt, because the gate measures whether episodes can be generated in the scene.
     """
     won = Counter(trial.job.tier for trial in trials if trial.reason is None)
     tried = Counter(trial.job.tier for trial in trials)

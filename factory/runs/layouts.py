@@ -1,6 +1,6 @@
 """Builds the layouts of the families of a plan in processes. If a seed has no valid layout, the next seed is tried.
 
-The result depends on the plan only. Packages are kept in the cache, so that an interrupted build continues.
+The result depends on the plan only. Packages are kept in the cache, so an interrupted build continues.
 """
 
 from __future__ import annotations

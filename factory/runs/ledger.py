@@ -90,7 +90,7 @@ def _noted_plan(state_dir: Path) -> Plan | None:
         with open_ledger(ledger_url_of(state_dir)) as connection:
             return read_info(connection).plan if holds_run(connection) else None
     except WorldError:
-        return None  # damaged; the coordinator rebuilds it when it starts
+        return None  # the ledger is damaged; the coordinator rebuilds it when it starts
 
 
 def _described_plan(place: Place) -> Plan | None:

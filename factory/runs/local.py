@@ -211,7 +211,7 @@ class _WorkerPool(Closing):
             self._processes[place] = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        # in a separate session, so that Ctrl-C reaches this process only, which then stops the workers
+        # in a separate session, so Ctrl-C reaches this process only, which then stops the workers
         return subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,

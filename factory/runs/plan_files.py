@@ -17,7 +17,7 @@ def require_files(plan: Plan, kept: Collection[str] = ()) -> None:
 
     Args:
         plan: Plan with the file names.
-        kept: Names of scenes whose package is in the dataset, so that their files are not needed.
+        kept: Names of scenes whose package is in the dataset, so their files are not needed.
 
     Raises:
         InvalidPlan: A file is missing or invalid; the message lists all such files.

@@ -69,7 +69,7 @@ class RayWorker:
 
 
 def _folder_of(files: Mapping[str, bytes]) -> Path:
-    """Returns the folder of a node's worker in one run, so that a restarted actor finds the bundles in its spool."""
+    """Returns the folder of a node's worker in one run, so a restarted actor finds the bundles in its spool."""
     run = hashlib.sha256(files[CA_FILE]).hexdigest()[:12]
     folder = Path(tempfile.gettempdir()) / f"minivla-{files[NAME_FILE].decode().strip()}-{run}"
     folder.mkdir(mode=0o700, exist_ok=True)

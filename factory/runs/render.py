@@ -68,7 +68,7 @@ def prepare_rendering(
 ) -> Rendering:
     """Reads a states dataset, and prepares the location of the frames dataset if it is new.
 
-    The location gets the failed attempts of the recording, so that the ledger continues with the attempt that
+    The location gets the failed attempts of the recording, so the ledger continues with the attempt that
     succeeded.
 
     Args:
@@ -152,7 +152,8 @@ def _write_tables(dataset: Dataset, meta: DatasetMeta, site: Site) -> None:
     meta = meta.model_copy(update={"episodes": 0, "complete": False, "dataset_digest": None})
     attempts, described = (dataset.root / ATTEMPTS_FILE).read_bytes(), meta.model_dump_json(indent=1).encode()
     with open_archive(site.state_dir, site.store) as archive:
-        for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):  # last: META_FILE marks a run
+        # META_FILE is last, because it marks a run
+        for name, data in ((ATTEMPTS_FILE, attempts), (META_FILE, described)):
             with archive.replacing(name) as part:
                 part.write_bytes(data)
 

@@ -44,7 +44,7 @@ class Replay:
 def replay_episode(
     root: Place, episode: FilePlace, renderer: RendererKind, on_step: Callable[[int, int], None]
 ) -> Replay:
-    """Simulates the job of an archived episode again. Renders in a separate process, so that any program can call this.
+    """Simulates the job of an archived episode again. Renders in a separate process, so any program can call this.
 
     Args:
         root: Location of the dataset.
@@ -87,7 +87,7 @@ def _differences(one: BundleReader, other: BundleReader) -> dict[str, float]:
         found[name] = float(np.abs(a - b).max())
     ours, theirs = one.meta.sensor_digests, other.meta.sensor_digests
     found |= {f"sensor {name} differs": 1.0 for name in ours if theirs.get(name) != ours[name]}
-    if not (one.has_frames and other.has_frames):  # the digests of the sampled frames
+    if not (one.has_frames and other.has_frames):  # a recording of states has only the digests of sampled frames
         pairs = zip(one.meta.frame_digests, other.meta.frame_digests, strict=False)
         return found | {"differing sampled frames": float(sum(a != b for a, b in pairs))}
     for name in ("rgb", "depth", "ids"):

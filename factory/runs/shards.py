@@ -1,6 +1,6 @@
 """Runs one shard of a run: records its state in `run_shard.json`, and decides whether its lock may be taken over.
 
-The state file is the heartbeat of a shard. Changes of the file are compared, not its times, so that the clocks of the
+The state file is the heartbeat of a shard. Changes of the file are compared, not its times, so the clocks of the
 hosts may differ. Generates no episode.
 """
 

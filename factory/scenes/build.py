@@ -131,7 +131,7 @@ def _compile_builtin(
     name: str, seed: int, called: str | None, rules: RuleBook | None, targets: TargetList | None, cache: Path
 ) -> CompiledScene:
     """Compiles a layout. The paper's layouts are read from USD files, whose digests their packages record."""
-    from factory.scenes.author.drawn import DrawnTextures  # only now: most scenes are cached
+    from factory.scenes.author.drawn import DrawnTextures  # imported here, because most scenes are cached
     from factory.scenes.compile.compiler import compile_extraction, compile_stage
     from factory.scenes.light import LAYOUT_DETAIL
 
@@ -139,7 +139,7 @@ def _compile_builtin(
     if _is_paper(name, seed, called):
         with tempfile.TemporaryDirectory(prefix="scene-") as directory:
             stage = author_scene(PAPER_LAYOUTS[name], seed, Path(directory))
-            # without materials, the packages of the paper's layouts keep their bytes
+            # materials would change the bytes of the packages of the paper's layouts
             return compile_stage(stage, name, source, book, targets, has_materials=False)
     required = {category for group in BUILTIN_CATEGORIES[name] for category in group}
     is_usual = rules is None and targets is None
@@ -206,7 +206,8 @@ def import_scene(
     if known is not None:
         mark_as_last(known)
         return known
-    from factory.scenes.compile.compiler import compile_extraction  # only now: most runs find their scenes in the cache
+    # imported here, because most runs find their scenes in the cache
+    from factory.scenes.compile.compiler import compile_extraction
 
     tell()
     data = encode_scene(compile_extraction(path.name, extraction, name, path.name, rules, targets))

@@ -42,7 +42,7 @@ def recall_package(cache: Path, scene: str, made_from: str) -> Path | None:
 
 
 def mark_as_last(package: Path) -> None:
-    """Updates the modification time of a package, so that it is the latest import of its name."""
+    """Updates the modification time of a package, so it is the latest import of its name."""
     with suppress(PermissionError):  # a shared read-only cache is allowed
         os.utime(package)
 

@@ -150,7 +150,7 @@ def _compare_with_meta(rows: Rows, table_rows: int) -> None:
     if not meta.complete:
         rows.add_remark(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
     if not rows.episodes:
-        rows.add_remark(METADATA_FILE, "no episodes, so that no means can be computed")
+        rows.add_remark(METADATA_FILE, "no episodes, so no means can be computed")
 
 
 def _compare_with_plan(rows: Rows) -> None:
@@ -201,5 +201,5 @@ def spread_evenly(episodes: Sequence[EpisodeSummary], count: int) -> list[Episod
 
 
 def format_error(error: Exception, root: Place) -> str:
-    """Returns an error message on one line with paths relative to the dataset, so that pages are reproducible."""
+    """Returns an error message on one line with paths relative to the dataset, so pages are reproducible."""
     return " ".join(str(error).replace(f"{root}/", "").split())

@@ -1,6 +1,6 @@
 """Slurm jobs of a run: their scripts, as text, and the commands of Slurm that submit them.
 
-The scripts call the command line only, so that a task needs no Python of the submitting process.
+The scripts call the command line only, so a task needs no Python of the submitting process.
 """
 
 from __future__ import annotations

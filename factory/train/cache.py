@@ -1,6 +1,6 @@
-"""Caches the downscaled frames of a split as memory-mapped arrays, so that no epoch decodes a PNG again.
+"""Caches the downscaled frames of a split as memory-mapped arrays, so no epoch decodes a PNG again.
 
-A cache is written to a temporary folder and renamed, so that an existing cache is complete. Its name is a digest of all
+A cache is written to a temporary folder and renamed, so an existing cache is complete. Its name is a digest of all
 inputs: the content of the episodes, the size, the selected frames, and the version of the preprocessing. If several
 trainings need the same cache, the first one writes it under a lock and the others wait.
 """

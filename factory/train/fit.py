@@ -1,6 +1,6 @@
 """Training loop: epochs over frames, validation, and the state from which a training resumes. Accesses no files.
 
-The random numbers of an epoch depend on (seed, epoch) only, so that a training that was interrupted after an epoch and
+The random numbers of an epoch depend on (seed, epoch) only, so a training that was interrupted after an epoch and
 resumed produces the same weights, bit for bit, on the same device with the same number of threads.
 """
 

@@ -1,6 +1,6 @@
 """Converts frames to network input: downscaled colour and depth; augments training batches with matching labels.
 
-Pure functions, which the cache and the policy share, so that equal frames give identical input in training and driving.
+Pure functions, which the cache and the policy share, so equal frames give identical input in training and driving.
 """
 
 from __future__ import annotations

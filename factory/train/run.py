@@ -213,7 +213,7 @@ def _require_sound(measured: EpochMeasures) -> None:
 def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport) -> None:
     done = meta.model_copy(update={"epochs_done": training.epochs_done})
     state = training.state()
-    # metrics first: a resumed training discards epochs that are newer than its state
+    # the metrics are written first, because a resumed training discards epochs that are newer than its state
     write_atomically(out / _METRICS, report.model_dump_json(indent=2).encode())
     write_checkpoint(out / POLICY, Checkpoint(done, {"model": state["model"]}))
     write_checkpoint(out / STATE, Checkpoint(done, state))

@@ -74,7 +74,7 @@ def encode(instruction: str, words: Sequence[str], ablate: bool = False) -> NDAr
         ablate: Whether to replace the instruction by one constant token.
 
     Returns:
-        (MAX_WORDS,) indices, padded with `PAD`; the first index is never `PAD`, so that the LSTM has an input.
+        (MAX_WORDS,) indices, padded with `PAD`; the first index is never `PAD`, so the LSTM has an input.
     """
     if ablate:
         found = [ANY]

@@ -132,7 +132,7 @@ def _drawn_again(formats: Mapping[str, int], count: int) -> set[str]:
     old = [name for name in sorted(chosen) if (formats[name] or 0) < _EXACT_POSES]
     if old:
         raise UsageError(
-            f"{old[0]} has bundle format {formats[old[0]]}, whose poses are rounded to float32, so that its frames "
+            f"{old[0]} has bundle format {formats[old[0]]}, whose poses are rounded to float32, so its frames "
             f"cannot be rendered again; verify without --render"
         )
     return chosen
@@ -218,7 +218,7 @@ def _check_tables(dataset: Dataset, report: VerifyReport) -> None:
 
 
 def _batches(path: Place) -> Iterator[pa.RecordBatch]:
-    """Yields all rows of a table, so that every page is read."""
+    """Yields all rows of a table, so every page is read."""
     with pq.ParquetFile(table_of(path)) as file:
         yield from file.iter_batches()
 

@@ -50,9 +50,9 @@ def compare_rendered(
     found: list[str] = []
     differing: list[int] = []
     target_pixels: dict[int, int] = {}
-    for t, recorded in zip(steps, digests, strict=False):  # a wrong number of digests is another finding
+    for t, recorded in zip(steps, digests, strict=False):  # the validator reports a wrong number of digests
         frame = bundle.render(t)
-        if t == 0 and not bundle.has_frames:  # the validator has checked stored frames
+        if t == 0 and not bundle.has_frames:  # the validator has checked the start view of stored frames
             found += start_findings(bundle.meta, bundle.arrays, frame.ids, frame.depth, candidates)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
         if frame_digest(frame.rgb, frame.depth, frame.ids) == recorded:

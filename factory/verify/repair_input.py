@@ -142,7 +142,7 @@ def _kept(path: Place, sha256: str) -> SceneEntry | str:
 def _lacking_textures(root: Place, kept: Mapping[str, SceneEntry]) -> dict[str, str]:
     """Returns scenes to build so that all missing and damaged textures are created again, each with the reason.
 
-    Layouts share textures, so that not every scene that uses a missing texture must be built.
+    Layouts share textures, so not every scene that uses a missing texture must be built.
     """
     faults: dict[str, str] = {}
     for sha256 in dict.fromkeys(texture for entry in kept.values() for texture in entry.textures):

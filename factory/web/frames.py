@@ -84,7 +84,7 @@ class FrameStore:
         self._bytes = 0
         self._episodes: OrderedDict[str, Episode] = OrderedDict()
         self._turns: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
-        """Locks of the open episodes: frames of one episode are rendered one after another, so that only one rendering
+        """Locks of the open episodes: frames of one episode are rendered one after another, so only one rendering
         process prepares its scene."""
         self._dataset: object = None
 
@@ -142,7 +142,7 @@ class FrameStore:
         return self._prepared is not None
 
     def prepare(self, keys: Sequence[FrameKey]) -> None:
-        """Renders images in the background, one after another, so that the renderer and their scenes are prepared.
+        """Renders images in the background, one after another, so the renderer and their scenes are prepared.
 
         Does nothing while an earlier call runs, and for episodes that store frames. Ignores errors; a later request for
         the image reports them.
@@ -155,7 +155,7 @@ class FrameStore:
         for key in keys:
             with contextlib.suppress(FactoryError, KeyError, IndexError, TooBusy):
                 if not _is_stored(self.episode(key.episode_id)):
-                    self.encoded(key).exception()  # waits, so that a thread stays free for requests
+                    self.encoded(key).exception()  # waits, so a thread stays free for requests
 
     def _make(self, episode: Episode, made: dict[FrameKey, Future[bytes]], turn: threading.Lock) -> None:
         found: dict[FrameKey, bytes | Exception]

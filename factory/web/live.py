@@ -25,8 +25,8 @@ class LiveFeed:
     Args:
         compute: function that returns the current fragment; called in a thread, by one thread at a time.
         pause_s: minimum time between two calls, seconds.
-        forget: function that is called before the last call, so that the last fragment is current even if `compute`
-            shares its result with others.
+        forget: function that is called before the last call of `compute`, so the last fragment is current even if
+            `compute` shares its result with others.
     """
 
     def __init__(

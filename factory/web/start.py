@@ -63,7 +63,7 @@ def serve(
             changes the ledger if none runs.
         more_routes: additional routes of the application.
         evaluations: directories of `factory eval -o`.
-        renders_ahead: whether to render a frame of each of the first scenes of a states dataset immediately, so that
+        renders_ahead: whether to render a frame of each of the first scenes of a states dataset immediately, so
             the first viewer does not wait for a rendering process and its scenes; false during a run.
 
     Raises:

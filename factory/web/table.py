@@ -121,13 +121,13 @@ class EpisodeTable:
         return len(self.dataset)
 
     def load(self) -> None:
-        """Reads the columns of the table, so that no later request does; requests raise the errors."""
+        """Reads the columns of the table in advance of the first request. Requests report the errors."""
         for name in _READ:
             with contextlib.suppress(ArchiveCorrupt):
                 self.dataset.column(name)
 
     def sort_all(self) -> None:
-        """Computes the order of each column, so that no later request does."""
+        """Computes the order of each column, so no later request does."""
         for column in SORTED:
             with contextlib.suppress(ArchiveCorrupt):
                 self._order_by(column)

@@ -90,7 +90,7 @@ def _is_pink(lightness: Floats, hue: Floats) -> NDArray[np.bool_]:
 
 def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
     """Returns whether colours are brown: dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
-    is_vivid = (lightness >= 50) & (chroma >= 58)  # such as the shadows of orange cloth
+    is_vivid = (lightness >= 50) & (chroma >= 58)  # the shadows of orange cloth are vivid and not brown
     orange = (hue >= 48) & (hue < 72) & ~is_vivid & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
     yellow = (hue >= 72) & (hue < 98) & ((lightness < 58) | ((lightness < 88) & (chroma < 45)))

@@ -85,7 +85,7 @@ class MaterialRanges(Model):
     ceilings: bool = True
     """Whether the colour of ceilings varies."""
     furniture: bool = True
-    """Whether the colours of other objects vary; each keeps its colour name, so that instructions stay true."""
+    """Whether the colours of other objects vary; each keeps its colour name, so instructions stay true."""
 
 
 class CameraRanges(Model):

@@ -102,7 +102,7 @@ ACTIONS_TOKENS = ArraySpec("actions_tokens", (None, 2), np.int16, "token", 0, 6)
 """Grid point of the 7 x 7 grid that is nearest to each action."""
 
 POSES = ArraySpec("poses", (None, 7), np.float64, "(m, m, m, quaternion w x y z)", former_dtype=np.float32)
-"""Pose of base_link in the world frame at each frame: (x, y, z, qw, qx, qy, qz); exact, so that the frame can be
+"""Pose of base_link in the world frame at each frame: (x, y, z, qw, qx, qy, qz); exact, so the frame can be
 rendered again."""
 
 EPISODE_ARRAYS = (ACTIONS_CONTINUOUS, ACTIONS_TOKENS, POSES)

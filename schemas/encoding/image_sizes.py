@@ -1,4 +1,4 @@
-"""Sizes of frames, pixels. Imports nothing, so that options can name them."""
+"""Sizes of frames, pixels. Imports nothing, so options can name them."""
 
 from __future__ import annotations
 

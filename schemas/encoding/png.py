@@ -1,7 +1,7 @@
 """Encodes and decodes the PNG images of frames: 8-bit RGB with filter Sub, or 16-bit grey without filter; one chunk.
 
 Not a general PNG reader. It decodes the output of `encode_png`, and of earlier versions that filtered ids too, and
-rejects all other images, so that an image cannot state a size that the caller does not expect. Any viewer opens the
+rejects all other images, so an image cannot state a size that the caller does not expect. Any viewer opens the
 files.
 """
 
@@ -83,7 +83,7 @@ def _unfilter_sub(rows: NDArray[np.uint8], depth: int) -> NDArray[np.uint8]:
     """Returns the bytes of rows with filter Sub: the sum of a byte and those of all pixels before it, modulo 256.
 
     Adds rows to copies of themselves that are shifted by 1, 2, 4, ... pixels. These additions are vectorised, and a
-    band of rows stays in the cache, so that they take half the time of `np.cumsum`.
+    band of rows stays in the cache, so they take half the time of `np.cumsum`.
 
     Args:
         rows: filtered bytes, (height, depth * width).

@@ -24,7 +24,7 @@ def named_colour(template_id: str, colour: str) -> str | None:
 
 
 def referents(info: SceneInfo, category: str, colour: str | None = None) -> frozenset[int]:
-    """Returns the instance ids of all objects that a category, and a colour if one is named, fit.
+    """Returns the instance ids of all objects of a category, and of a colour if one is named.
 
     An object of the category that is not a target, because the robot cannot reach it, has no recorded colour; it fits
     every colour. A target without a dominant colour (`unknown`) fits no named colour.

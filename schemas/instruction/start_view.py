@@ -61,9 +61,9 @@ class StartView(Model):
     least_same_category: Annotated[Count, Field(alias="least_alike", exclude_if=lambda it: it == 0)] = 0
     """Smallest number of objects of `same_category` that must be in view if the target is; 0 sets no condition."""
     ranks: tuple[Fraction, Fraction] | None = Field(default=None, exclude_if=lambda it: it is None)
-    """Two random numbers from 0 to 1. If the first is below 1 / k, the target is the nearest of the k objects of its
-    category in view; otherwise another one is the nearest. The second decides in the same way which object is the most
-    central. `None` sets no condition."""
+    """Two random numbers from 0 to 1. If the first is below 1 / k, the target must be the nearest of the k objects
+    of its category in view; otherwise it must not be. The second likewise concerns the most central one.
+    `None` sets no condition."""
     choice: TargetChoice | None = Field(default=None, exclude_if=lambda it: it is None)
     """Draw of the target at the start, for which `least_same_category` counts the objects that could be the target;
     `None` if the plan names the target."""

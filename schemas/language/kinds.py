@@ -32,7 +32,7 @@ class ObjectKind(Model):
     """Category of which this kind is a special case, such as a pile of boxes of the category box. An object of the
     category has this kind if the name of its prim contains the words in `prims`."""
     surface: bool = False
-    """Whether things are put on its top, so that the top can be called empty."""
+    """Whether things are put on its top, so the top can be called empty."""
     material: bool = False
     """Whether its material can be named."""
     sized: bool = True

@@ -38,7 +38,7 @@ def write_address(root: Path, run: str, endpoints: Sequence[str]) -> None:
 
 
 def mark_finished(root: Path, run: str) -> None:
-    """Writes that the run is finished, so that workers that start later end instead of waiting for a coordinator."""
+    """Writes that the run is finished, so workers that start later end instead of waiting for a coordinator."""
     write_address(root, run, ())
 
 

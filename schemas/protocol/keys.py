@@ -70,7 +70,7 @@ def _root(run: str) -> str:
 
 
 def verb_key(run: str, host: str, verb: Verb) -> str:
-    """Returns the key of a verb for one host; the key contains the host, so that access control can check it."""
+    """Returns the key of a verb for one host; the key contains the host, so access control can check it."""
     return f"{_root(run)}/c/{host}/{verb}"
 
 

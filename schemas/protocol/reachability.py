@@ -49,7 +49,7 @@ def _cause(endpoint: str, tls: TlsFiles | None, timeout_s: float) -> str:
 
 
 def _tls_cause(connection: socket.socket, host: str, tls: TlsFiles) -> str:
-    """Returns the cause for which a TLS handshake fails; empty if it succeeds."""
+    """Returns why a TLS handshake fails; empty if it succeeds."""
     try:
         context = ssl.create_default_context(cafile=tls.ca)
         context.load_cert_chain(tls.certificate, tls.key)

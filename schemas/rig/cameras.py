@@ -1,6 +1,6 @@
 """Models of cameras: pinhole with Brown-Conrady distortion, fisheye, and equirectangular.
 
-An image spans [0, width) and [0, height), so that the centre of the first pixel is (0.5, 0.5); a calibration of OpenCV,
+An image spans [0, width) and [0, height), so the centre of the first pixel is (0.5, 0.5); a calibration of OpenCV,
 which has that centre at (0, 0), needs 0.5 px added to its principal point. Projects no points and renders nothing.
 """
 
@@ -67,7 +67,7 @@ class _Camera(MountedSensor):
         return False
 
     def lens(self) -> Self:
-        """Returns the camera with fixed name, rate, mount, outputs and noise, so that cameras of one type are equal."""
+        """Returns the camera with fixed name, rate, mount, outputs and noise, so cameras of one type are equal."""
         plain = {"name": "lens", "rate_hz": None, "mount": Mount(), "outputs": (CameraOutput.RGB,), "noise": None}
         return self.model_copy(update=plain)
 
@@ -77,7 +77,7 @@ class _Camera(MountedSensor):
             raise ValueError(f"near_m {self.near_m:g} must be less than far_m {self.far_m:g}: swap them")
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(
-                f"{self.width} x {self.height} pixels are too many: reduce width or height, so that the image has at "
+                f"{self.width} x {self.height} pixels are too many: reduce width or height, so the image has at "
                 f"most {MAX_PIXELS} pixels"
             )
         if self.noise is not None and self.noise.depth is not None and not self.is_rectified:

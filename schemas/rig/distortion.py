@@ -46,7 +46,7 @@ def _derivative(points: Floats, coefficients: Sequence[float]) -> tuple[Floats, 
 def undistort(points: Floats, coefficients: Sequence[float]) -> Floats:
     """Returns the points (..., 2) on the plane z = 1 whose distorted points are given; NaN where there is none.
 
-    Follows the line from the centre to each point, with Newton's method, so that the result is on the same side of a
+    Follows the line from the centre to each point, with Newton's method, so the result is on the same side of a
     fold of the distortion as the centre.
     """
     found = np.zeros_like(points)

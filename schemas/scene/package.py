@@ -126,9 +126,8 @@ def read_survey(file: BinaryIO) -> tuple[NDArray[np.float32], NDArray[np.uint8]]
 
 
 def _info_json(info: SceneInfo) -> bytes:
-    unused = {
-        name for name in ("sky", "textures") if not getattr(info, name)
-    }  # so that older packages keep their bytes
+    # omitted, so packages of older versions keep their bytes
+    unused = {name for name in ("sky", "textures") if not getattr(info, name)}
     return info.model_dump_json(indent=1, exclude=unused).encode()
 
 

@@ -44,7 +44,7 @@ def encode_texture(layer: Layer) -> tuple[TextureFile, bytes]:
 
 
 def remember_encoded(layer: Layer, texture: TextureFile, data: bytes) -> None:
-    """Keeps the file of a layer, so that the layer is not compressed again."""
+    """Keeps the file of a layer, so the layer is not compressed again."""
     key = _digest(layer)
     _encoded.pop(key, None)
     _encoded[key] = texture, data

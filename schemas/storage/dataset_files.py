@@ -21,7 +21,7 @@ _PARTS = frozenset({*_FOLDERS, META_FILE, CARD_FILE, MARKS_FILE, RELABEL_FILE, R
 
 
 def is_part(name: str) -> bool:
-    """Returns whether an entry of a dataset's directory belongs to the dataset; hidden files and the ledger do."""
+    """Returns whether a directory entry belongs to the dataset; this includes hidden files and the ledger."""
     return name in _PARTS or name.startswith((".", "ledger."))
 
 

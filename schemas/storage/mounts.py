@@ -39,7 +39,7 @@ class MountPoint(NamedTuple):
 
     @property
     def is_network(self) -> bool:
-        """Whether other hosts may change files, so that locks and shared memory are unreliable."""
+        """Whether other hosts may change files, so locks and shared memory are unreliable."""
         is_fuse = self.kind == "fuse" or (self.kind.startswith("fuse.") and self.kind not in _LOCAL_FUSE)
         return self.kind in _NETWORK or is_fuse
 

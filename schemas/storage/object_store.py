@@ -39,7 +39,7 @@ _REMEDIES = (
     ("RequestTimeTooSkewed", "set the clock of this host; stores accept a difference of some minutes"),
     ("401", "check the credentials in the environment"),
     ("403", "check the credentials in the environment, and that they may read, write, list and delete there"),
-    ("501", "use a store that supports conditional writes (If-None-Match), so that no episode is overwritten"),
+    ("501", "use a store that supports conditional writes (If-None-Match), so no episode is overwritten"),
     ("cannot be reached", "check the network and AWS_ENDPOINT_URL, then try again"),
 )
 

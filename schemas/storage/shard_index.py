@@ -120,7 +120,7 @@ def read_index(root: Place) -> ShardIndex | None:
 
 
 def _is_valid(index: ShardIndex) -> bool:
-    """Returns whether all values are possible, so that a damaged index names no file outside of the folder."""
+    """Returns whether all values are possible, so a damaged index names no file outside of the folder."""
     is_ascending = bool((np.diff(index.numbers) >= 0).all() and (index.numbers > 0).all())
     fits = (index.offsets >= 0) & (index.sizes >= 0) & (index.sizes <= MAX_PACKED_BYTES)
     return is_ascending and bool(fits.all()) and all(map(is_shard, index.names))
@@ -129,7 +129,7 @@ def _is_valid(index: ShardIndex) -> bool:
 def shard_places(root: Place) -> list[Place]:
     """Returns the paths of the shards of a dataset, by name."""
     folder = root / EPISODES
-    # the names of shards sort after the names of episodes, so that one request lists all shards
+    # the names of shards sort after the names of episodes, so one request lists all shards
     found = folder.walk(after="shard") if isinstance(folder, ObjectPath) else children(folder)
     return sorted(place for place in found if is_shard(place.name) and place.parent == folder)
 

@@ -1,6 +1,6 @@
 """Shards: files that each contain up to 1,000 small episodes of one range of numbers (docs/dataset.md#shards).
 
-Writes and reads the format on open binary files; a reader accepts hostile files. Opens no path, deletes nothing.
+Writes and reads the format on open binary files; the reader checks untrusted files. Opens no path, deletes nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Command line and environment of the product's child processes, so that they import no file of the working directory.
+"""Command line and environment of the product's child processes, so they import no file of the working directory.
 
 `python -m` puts the working directory first on the import path, and a dataset or a user's folder may contain a module
 with the name of a module of the product. This module starts no process.
@@ -16,7 +16,8 @@ SAFE_PATH = "PYTHONSAFEPATH"
 _HOME = str(Path(__file__).resolve().parents[2])
 """Directory that contains the product's packages."""
 _INTERACTIVE = frozenset({"PYTHONSTARTUP", "PYTHONINSPECT", "PYTHONBREAKPOINT"})
-"""Variables for interactive sessions; `PYTHONINSPECT` would keep a process alive after its end."""
+"""Variables for interactive sessions; `PYTHONINSPECT` would keep the interpreter running after the
+program has ended."""
 _PATH = "PYTHONPATH"
 _HERE = frozenset({"", os.curdir})
 """Entries of `PYTHONPATH` that mean the working directory; the first comes from `PYTHONPATH=$PYTHONPATH:/more`."""

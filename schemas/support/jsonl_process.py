@@ -189,7 +189,7 @@ class JsonlProcess(Generic[M]):
 
 
 def _file_to_append() -> IO[bytes]:
-    """Returns an unnamed file in append mode, so that a process continues at its end after the file was emptied."""
+    """Returns an unnamed file in append mode, so a process continues at its end after the file was emptied."""
     file = tempfile.TemporaryFile()  # noqa: SIM115 - closed by the caller
     fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) | os.O_APPEND)
     return file

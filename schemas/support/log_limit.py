@@ -23,7 +23,7 @@ class LogLimit:
         pause_s: pause after the first line of a kind, seconds. It doubles with each further line, and returns to its
             first value when no line of the kind was written for one pause.
         longest_s: longest pause, seconds; `None` for a constant pause.
-        clock: returns monotonic time in seconds; an argument, so that a test can control time.
+        clock: returns monotonic time in seconds; an argument, so a test can control time.
     """
 
     def __init__(
@@ -43,8 +43,8 @@ class LogLimit:
             if now < due:
                 self._kinds[kind] = due, pause_s, omitted + 1
                 return None
-            if now > due + pause_s:
-                pause_s = self._first_s  # no line was written for one pause
+            if now > due + pause_s:  # no failure occurred for a whole pause after the next line was permitted
+                pause_s = self._first_s
             if len(self._kinds) >= _MAX_KINDS:
                 self._kinds.clear()
             self._kinds[kind] = now + pause_s, min(2 * pause_s, self._longest_s), 0
@@ -74,7 +74,7 @@ class Repeated:
         event: name of the failure; its end is logged as `EVENT_recovered`.
         expected: exceptions with external causes, in addition to `FactoryError` and `OSError`; they are logged in one
             line. Other exceptions are logged once with their traceback.
-        clock: returns monotonic time in seconds; an argument, so that a test can control time.
+        clock: returns monotonic time in seconds; an argument, so a test can control time.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Repeated:
             count, self.failures = self.failures, 0
             was_logged, self._is_logged = self._is_logged, False
             lasted = self._clock() - self._since
-        if was_logged:  # a warning, so that it is visible at the log level of the failure
+        if was_logged:  # logged as a warning, so it is visible at the log level of the failure
             self._log.warning(f"{self._event}_recovered", failures=count, after_s=round(lasted))
 
 

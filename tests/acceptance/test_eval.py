@@ -81,7 +81,7 @@ def test_two_policies_are_compared_by_paired_episodes(factory: FactoryCli, out: 
 
 
 def test_ctrl_c_keeps_finished_episodes(factory: FactoryCli, drives: Path, out: Path, tmp_path: Path) -> None:
-    slow = "tests.builders.policies:Slow"  # slow, so that the second episode still runs when the first is written
+    slow = "tests.builders.policies:Slow"  # slow, so the second episode still runs when the first is written
     words = ("--data", drives, "--specs", out.parent / "specs.json", "--policy", slow, "--workers", 1)
     process = factory.start("eval", *words, "-o", tmp_path / "out")
     wait_for(lambda: any(log.stat().st_size for log in tmp_path.rglob("episodes.jsonl")))

@@ -12,7 +12,7 @@ import pytest
 from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
 from tests.builders.ports import free_endpoint
 
-SLOW = "tests.builders.policies:Slow"  # evaluated last, so that the coordinator is killed before the end
+SLOW = "tests.builders.policies:Slow"  # evaluated last, so the coordinator is killed before the end
 POLICIES = ("expert", "replay", "random", SLOW)
 
 

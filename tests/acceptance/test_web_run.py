@@ -1,4 +1,4 @@
-"""The web page of `factory run --http`: a browser watches a run until it ends; a benchmark measures visitors' cost."""
+"""The web page of `factory run --http`: a browser watches a run until it ends; a benchmark measures its visitors."""
 
 from __future__ import annotations
 

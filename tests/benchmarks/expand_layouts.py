@@ -1,7 +1,7 @@
 """Measures the CPU time of inserting the episodes of many layouts into a ledger. Builds no layout.
 
 Arguments: `PACKAGE [LAYOUTS] [LEDGER]`. PACKAGE is the package of one home; it is used for every layout. LAYOUTS is the
-number of layouts to insert, by default all 10,000. LEDGER is the file of a database that is kept, so that a killed run
+number of layouts to insert, by default all 10,000. LEDGER is the file of a database that is kept, so a killed run
 can be continued.
 """
 

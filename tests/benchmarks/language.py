@@ -63,7 +63,7 @@ def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Gene
 def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart]) -> tuple[float, int]:
     """Returns instructions per second of CPU time, view included, and the number of drives without an instruction."""
     composer, rng, best, without = Composer(spec), np.random.default_rng(0), 0.0, 0
-    for _ in range(3):  # the first round also fills caches, so that the best round counts
+    for _ in range(3):  # the first round also fills caches, so the best round counts
         begin, count, without = time.process_time(), 0, 0
         for number, pose in starts:
             view = look(language.graph, pose, CAMERA) if spec.needs_view else None
@@ -74,7 +74,7 @@ def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart
 
 
 def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tuple[int, int]:
-    """Changes one word of a sentence at a time, so that it is false or ambiguous.
+    """Changes one word of a sentence at a time, so it is false or ambiguous.
 
     Returns how many of the changed sentences the verifier rejects, and their number.
     """

@@ -1,4 +1,4 @@
-"""Program that describes its process, so that tests can compare a forked process with a new interpreter."""
+"""Program that describes its process, so tests can compare a forked process with a new interpreter."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from workers.sim.scene_renderer import SceneRenderer
 
 SCENE = "box_room"
 CONTROL_HZ = 30
-"""Frames per second of the drives: half the usual rate, so that fewer frames are rendered."""
+"""Frames per second of the drives: half the usual rate, so fewer frames are rendered."""
 
 
 def driven_plan(record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL) -> Plan:

@@ -1,7 +1,7 @@
 """Replaces the Python processes that a tested process starts by forks, because a new interpreter imports for a second.
 
 A helper process makes the forks. It is a child of the tested process (the owner): either a copy of the owner, made
-before the owner starts threads, or a new interpreter. The parent of each fork is the owner and not the helper, so that
+before the owner starts threads, or a new interpreter. The parent of each fork is the owner and not the helper, so
 the forks are real children of the owner. A fork has the arguments, environment, directory, descriptors and session that
 the owner requested, and runs its module as `python -m` does. Programs other than Python, and interpreters with other
 environment variables, are started as usual.

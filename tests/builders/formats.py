@@ -1,6 +1,6 @@
 """Writes one room in every 3D format that can be imported: floor, four walls and a red chair, in metres, z up.
 
-The texts are written by hand, so that no writer shares code with the readers. Uses the standard library and Pillow.
+The texts are written by hand, so no writer shares code with the readers. Uses the standard library and Pillow.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Prints values of computations that enter episodes, so that runs with other BLAS and numpy kernels can be compared."""
+"""Prints values of computations that enter episodes, so runs with other BLAS and numpy kernels can be compared."""
 
 from __future__ import annotations
 

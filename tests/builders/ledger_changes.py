@@ -20,7 +20,7 @@ _REASONS = (FailReason.TIMEOUT, FailReason.COLLISION, FailReason.CRASH, FailReas
 
 
 def scatter(timed_ledger: TimedLedger) -> None:
-    """Changes the order in which jobs are claimed, so that claims are spread over all episode numbers."""
+    """Changes the order in which jobs are claimed, so claims are spread over all episode numbers."""
     with timed_ledger.open() as connection:
         connection.execute(update(jobs).values(not_before=(jobs.c.idx * 7919) % 4096 / 4096))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 _LOWEST_OUTGOING = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
 _PORTS = itertools.cycle(range(max(_LOWEST_OUTGOING, 20_000) - 2 - os.getpid() % 8000, 10_000, -1))
-"""Ports below the range of outgoing connections, so that no connection takes the port of a server that restarts."""
+"""Ports below the range of outgoing connections, so no connection takes the port of a server that restarts."""
 _RESERVED = deque[int]()
 _MOST_RESERVED = 256
 

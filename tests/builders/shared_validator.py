@@ -12,4 +12,4 @@ class SharedValidator:
         self.check, self.check_all = validator.check, validator.check_all
 
     def close(self) -> None:
-        """Does nothing, so that the shared child keeps running."""
+        """Does nothing, so the shared child keeps running."""

@@ -1,6 +1,6 @@
 """Relay in front of an S3 server that refuses requests, cuts uploads, loses answers or drops conditions on demand.
 
-Reports the stages of each request to a test, so that the test can end the sender at any stage.
+Reports the stages of each request to a test, so the test can end the sender at any stage.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class StoreRelay:
         """Forwards requests without their `If-` headers."""
         self.watch: Callable[[Moment, str, str], bool] = lambda _moment, _command, _path: False
         """Called at each moment of each request, with its method and path, in the relaying thread; returns whether the
-        sender has disconnected, so that the rest of the request is not relayed."""
+        sender has disconnected, so the rest of the request is not relayed."""
         relay = self
 
         class Handler(_Handler):

@@ -84,7 +84,7 @@ class WireWorker(Closing):
         return str(routers[0]) if routers else None
 
     def ask(self, verb: Verb | str, message: Model | bytes, answer: type[M]) -> M | Refusal | None:
-        """Sends a request; returns the reply, or `None` if no valid reply came, so that the outcome is unknown."""
+        """Sends a request; returns the reply, or `None` if no valid reply came, so the outcome is unknown."""
         payload = message if isinstance(message, bytes) else message.model_dump_json()
         key = verb_key(self.run, self.host, verb)  # type: ignore[arg-type]
         replies = self._session.get(

@@ -124,7 +124,7 @@ def main() -> int:
     """Parses the command line and runs a campaign."""
     find_system_tools()
     options = _parse_options()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # an exception, so that all processes are ended
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # an exception, so all processes are ended
     with tempfile.TemporaryDirectory(prefix="minivla-chaos-", dir=options.root) as folder:
         root = Path(folder)
         try:

@@ -312,7 +312,7 @@ class ChaosCluster(Closing):
     _was_full = False
 
     def note_full_disk(self) -> None:
-        """Accepts that the coordinator exits from now on, because a ledger cannot be opened on a full disk."""
+        """Accepts from now on that the coordinator exits, because a ledger cannot be opened on a full disk."""
         self._was_full = True
 
     def end(self) -> None:

@@ -19,7 +19,7 @@ def on_host(namespace: str, module: str, *words: object) -> tuple[str, ...]:
 
 
 def main() -> NoReturn:
-    """Enters the namespace and then runs the module, so that all threads of the module are in the namespace."""
+    """Enters the namespace and then runs the module, so all threads of the module are in the namespace."""
     namespace, module, *words = sys.argv[1:]
     with open(f"/run/netns/{namespace}") as opened:
         if ctypes.CDLL(None, use_errno=True).setns(opened.fileno(), _CLONE_NEWNET) != 0:

@@ -175,7 +175,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="Seed of run 0; run K uses SEED + K (default 1).")
     parser.add_argument("--tally", type=Path, help="File that stores the tally; an existing one is continued.")
     options = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # an exception, so that all processes are ended
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # an exception, so all processes are ended
     with tempfile.TemporaryDirectory(prefix="minivla-ledger-") as folder:
         root = Path(folder)
         commands = fake_commands(options.episodes, _LONGEST_S, checkpoint_s=1.0)

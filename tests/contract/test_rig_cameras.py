@@ -237,4 +237,4 @@ def test_a_panorama_has_no_seam_between_its_faces(gl: Renderer):
     gl.load(build_scene(sides), CameraConfig())
     image = gl.render_camera(camera, POSE)
     assert (image.depth > 0).all()
-    assert (image.rgb == image.rgb[0, 0]).all()  # the room has one colour: also at the edges of faces
+    assert (image.rgb == image.rgb[0, 0]).all()  # the room has one colour, which must not change at the edges of faces

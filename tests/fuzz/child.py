@@ -27,7 +27,7 @@ INPUT_S = 20
 
 
 class _Hang(BaseException):
-    """An input took too long. Not an `Exception`, so that no parser catches it."""
+    """An input took too long. Not an `Exception`, so no parser catches it."""
 
 
 def main() -> int:

@@ -90,7 +90,7 @@ def _insert(rng: random.Random, data: bytes, _others: Sequence[bytes]) -> bytes:
 
 
 def _replace_word(rng: random.Random, data: bytes, _others: Sequence[bytes]) -> bytes:
-    """Replaces the word between two separators, so that a text file remains readable text."""
+    """Replaces the word between two separators, so a text file remains readable text."""
     marks = [at for at, byte in enumerate(data) if byte in b' ,:="()[]{}\n'][:100_000]
     if len(marks) < 2:
         return data

@@ -108,7 +108,7 @@ def test_rendering_and_readback_are_timed_separately() -> None:
     assert found.frames_per_s.runs == 2
 
 
-# without garbage collection, frames kept alive by reference cycles count as leaks, so that the test finds them
+# without garbage collection, frames kept alive by reference cycles count as leaks, so the test finds them
 WITHOUT_GC = "import gc, runpy; gc.disable(); runpy.run_module('workers.sim.simulate', run_name='__main__')"
 COMMAND = (sys.executable, "-c", WITHOUT_GC, "--renderer", "gl")
 

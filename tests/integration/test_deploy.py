@@ -74,7 +74,7 @@ def command_lines() -> list[tuple[str, list[str]]]:
 
 
 def _of_shell(text: str) -> list[str]:
-    """Returns the words after the last `factory` of a shell command; `demo` or 8 replaces each variable."""
+    """Returns the words after the last `factory` of a command; `demo` replaces a plan variable, and 8 any other."""
     command = re.split(r"\bfactory\s", text)[-1].partition("\n")[0]
     return shlex.split(
         re.sub(r"\$\{(\w+)\}", lambda found: {"plan": "demo", "PLAN": "demo"}.get(found[1], "8"), command)
@@ -337,7 +337,7 @@ class Cluster:
                     os.killpg(task.pid, signal.SIGKILL)
 
     def before(self, command: str, deed: str) -> None:
-        """Runs the script `deed` directly before a command of the task, so that the order of events is fixed."""
+        """Runs the script `deed` directly before a command of the task, so the order of events is fixed."""
         trap = self.bin / "trap.sh"
         trap.write_text(f"""set -T\ntrap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
         self.environment["BASH_ENV"] = str(trap)

@@ -69,7 +69,7 @@ def test_workers_of_a_collection_run_an_evaluation_and_resume_the_collection(
         assert note is not None
         assert note.knows == "nothing"
         wait_for_more(hub, archived(hub))
-        # all episodes have results already, so that no running collection is needed
+        # all episodes have results already, so no running collection is needed
         assert run_fleet(campaign, drives.meta.plan, store, FleetAccess(), threading.Event(), told.append)
     assert [pace.done for pace in told] == [0, 1, 2, 2]
     assert not (tmp_path / "out" / "fleet").exists()

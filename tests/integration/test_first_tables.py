@@ -1,4 +1,4 @@
-"""A new run gets its tables with its first episode, so that it can be read before the first regular checkpoint."""
+"""A new run gets its tables with its first episode, so it can be read before the first regular checkpoint."""
 
 from __future__ import annotations
 

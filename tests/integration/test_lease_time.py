@@ -47,7 +47,7 @@ def test_the_job_of_a_dead_worker_is_pending_within_its_lease_plus_one_second(
     clock = SweptClock(CoordinatorSettings().sweep_s)
     settings = CoordinatorSettings(
         reserve_bytes=0, lease_ttl_s=lease_ttl_s, sweep_s=0.005
-    )  # sweeps more often than by default, so that the test is fast
+    )  # sweeps more often than by default, so the test is fast
     url = f"sqlite:///{tmp_path / 'out' / 'ledger.db'}"
     with Coordinator(
         tmp_path / "out",

@@ -30,7 +30,7 @@ needs_vla_eval = pytest.mark.skipif(
 
 @pytest.fixture
 def recipes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Adds the folder of the recipes to the search path, so that tests can import them."""
+    """Adds the folder of the recipes to the search path, so tests can import them."""
     monkeypatch.syspath_prepend(str(RECIPES))
 
 

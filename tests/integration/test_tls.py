@@ -185,7 +185,7 @@ def test_a_host_cannot_read_bundles_of_another(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
         honest.hello(version("minivla-factory"))
         _, lease = honest.job()
-        honest.is_frozen = True  # not even the coordinator can pull the bundle, so that it remains in the spool
+        honest.is_frozen = True  # not even the coordinator can pull the bundle, so it remains in the spool
         honest.deliver(lease, b"secret" * 100)
         honest.is_frozen = False
         where = f"?job={lease.job_id};fence={lease.fence};off=0;n=10"

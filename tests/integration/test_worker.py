@@ -355,7 +355,7 @@ def test_a_worker_whose_simulations_do_not_start_claims_no_job(tmp_path):
 
 
 def test_a_worker_with_a_paused_simulation_learns_the_end_of_the_run_from_a_heartbeat(tmp_path):
-    """The only slot of the worker pauses after a crash, so that the worker claims no job for some time."""
+    """The only slot of the worker pauses after a crash, so the worker claims no job for some time."""
     with coordinator("die") as hub:
         hub.tells_end_by_beat = True
         hub.dropped_replies[Verb.CLAIM] = 0

@@ -123,7 +123,7 @@ class SlurmCluster:
 
     @contextmanager
     def without(self, *nodes: str) -> Iterator[None]:
-        """Drains some nodes inside the `with` block, so that no task starts on them."""
+        """Drains some nodes inside the `with` block, so no task starts on them."""
         self.call("scontrol", "update", f"nodename={','.join(nodes)}", "state=drain", "reason=test")
         try:
             yield
@@ -132,7 +132,7 @@ class SlurmCluster:
 
     @contextmanager
     def frozen(self, task: str, node: str) -> Iterator[None]:
-        """Stops the simulation of a task inside the `with` block, so that the task cannot finish its job."""
+        """Stops the simulation of a task inside the `with` block, so the task cannot finish its job."""
         number = re.search(r"JobId=(\d+)", self.call("scontrol", "show", "job", task))
         assert number is not None, task
         pids = [

@@ -94,7 +94,7 @@ class SubmittedRun:
         return found[0]
 
     def cancel_one(self) -> str:
-        """Cancels tasks until one of them has lost a job; returns the numbers of the cancelled tasks with commas."""
+        """Cancels tasks until one of them has lost a job; returns the comma-separated numbers of these tasks."""
         cancelled: list[int] = []
 
         def cancel(task: Task) -> None:
@@ -158,7 +158,7 @@ class SubmittedRun:
     def fail_node(self, excluded: str) -> None:
         """Kills the node of a task with all its processes, and starts it again later.
 
-        The processes cannot return their jobs, so that the leases expire.
+        The processes cannot return their jobs, so the leases expire.
         """
 
         self._strike(
@@ -170,7 +170,7 @@ class SubmittedRun:
         )
 
     def reach_time_limit(self) -> None:
-        """Shortens the time limit of a running task, so that the task requeues itself shortly before the limit.
+        """Shortens the time limit of a running task, so the task requeues itself shortly before the limit.
 
         The simulation process of the task is stopped until then. Otherwise, a shard on a fast machine could end before
         Slurm checks the time limits again.

@@ -1,7 +1,7 @@
 """Places small objects on the floor beside the path of the robot. Pure functions.
 
 The robot drives without the objects, so each object keeps a clearance from the footprint at every pose. It is outside
-of the area between the robot and the target at the first and the last pose, so that it hides no pixel of the target
+of the area between the robot and the target at the first and the last pose, so it hides no pixel of the target
 there.
 """
 
@@ -94,7 +94,7 @@ def _distance_to_path(grid: Grid, poses: Floats) -> Floats:
     inside = ((cells >= 0) & (cells < free.shape)).all(axis=1)
     free[tuple(cells[inside].T)] = False
     field = scipy.ndimage.distance_transform_edt(free) * grid.resolution_m
-    return np.asarray(field - grid.resolution_m)  # both points may be anywhere in their cells
+    return np.asarray(field - grid.resolution_m)  # a lower bound, because both points may be anywhere in their cells
 
 
 def _yaw(qw: float, qx: float, qy: float, qz: float) -> float:

@@ -1,6 +1,6 @@
 """Draws materials for the surfaces of a scene, and applies them. Pure functions.
 
-Objects keep the name of their colour, so that instructions stay true; walls, floors and ceilings change freely.
+Objects keep the name of their colour, so instructions stay true; walls, floors and ceilings change freely.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def _planckian(kelvin: float) -> Rgb:
 
 
 def _mean(light: Singles) -> float:
-    """Returns the mean light; sums integer steps of 1 / 4096, so that it does not depend on the order."""
+    """Returns the mean light; sums integer steps of 1 / 4096, so it does not depend on the order."""
     steps = (np.minimum(light, np.float32(_WHITE)) * np.float32(_MEAN_STEP)).astype(np.int64)
     return int(steps.sum()) / steps.size / _MEAN_STEP
 

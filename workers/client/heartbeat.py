@@ -65,7 +65,7 @@ class Heartbeat:
     def beat(self) -> None:
         """Reports the leases in simulation and in the spool, and applies the reply."""
         host = self._host
-        live = host.leases.live()  # read before the spool, so that an attempt that ends now is in one of the two
+        live = host.leases.live()  # read before the spool, so an attempt that ends now is in one of the two
         spooled = host.spool.entries()
         for start in range(0, max(len(live), len(spooled), 1), MAX_LEASES):
             part = slice(start, start + MAX_LEASES)

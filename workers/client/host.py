@@ -48,7 +48,7 @@ class Phase:
         self.heartbeat_due.set()
 
     def finish(self) -> None:
-        """Ends the worker because all jobs of the run have ended, so that its results are no longer needed."""
+        """Ends the worker because all jobs of the run have ended, so its results are no longer needed."""
         if self._finished is None:
             self._finished = time.monotonic()
         self.close()
@@ -117,7 +117,7 @@ class LeaseBook:
             self._lost |= set(leases) & self._steps.keys()
 
     def is_lost(self, lease: Lease) -> bool:
-        """Returns whether a lease in simulation is lost, so that its result would be refused."""
+        """Returns whether a lease in simulation is lost, so its result would be refused."""
         with self._lock:
             return lease in self._lost
 

@@ -90,7 +90,7 @@ class Link(Closing):
         session = self._session
         try:
             routers = session.info.routers_zid() if session is not None else []
-        except zenoh.ZError:  # closed meanwhile
+        except zenoh.ZError:  # another thread closed the session meanwhile
             return None
         return str(routers[0]) if routers else None
 
@@ -115,7 +115,7 @@ class Link(Closing):
             if is_wanted:
                 self._session = session
                 self._answered = time.monotonic()
-        if not is_wanted:  # closed by another thread meanwhile
+        if not is_wanted:  # another thread closed the link meanwhile
             session.close()
             return False
         self._declare()
@@ -185,7 +185,7 @@ class Link(Closing):
         run, sid, read = self._serving
         key = bundle_key(run, sid)
         try:
-            # the queryable first, because a peer that sees the token may send a query immediately
+            # the queryable is declared first, because a peer that sees the token may send a query immediately
             queryable = session.declare_queryable(key, lambda query: _answer(query, key, read, self._unreadable))
             token = session.liveliness().declare_token(alive_key(run, sid))
         except zenoh.ZError:
@@ -245,7 +245,7 @@ def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
         "mode": '"client"',
         "listen/endpoints": "[]",
         "connect/endpoints": json.dumps(list(endpoints)),
-        # limited, because a signal cannot interrupt the connection attempt; the caller retries
+        # the attempt is limited, because a signal cannot interrupt it; the caller retries
         "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
         "connect/exit_on_failure": "true",
         # closing waits for a reconnect in progress, to which a frozen router does not reply; the default is 10 s

@@ -48,7 +48,7 @@ class _CachedFile(NamedTuple):
 class SceneCache:
     """Folder of scenes that several workers of a host may share.
 
-    A texture is marked as used after each package that needs it, so that packages are evicted before their textures.
+    A texture is marked as used after each package that needs it, so packages are evicted before their textures.
 
     Args:
         directory: path of the folder; it is created if missing.

@@ -83,7 +83,7 @@ class Slot:
             self._host.pause(min(max(reply.retry_after_s, 0.05), _LONGEST_IDLE_S))
 
     def _ensure_simulation(self) -> None:
-        """Starts the simulation process before a job is claimed, so that no job fails if the process cannot start."""
+        """Starts the simulation process before a job is claimed, so no job fails if the process cannot start."""
         starts = Backoff(0.5, 5.0)
         while not (self._simulation.is_running or self._host.phase.closing.is_set()):
             self._simulation.start()
@@ -104,7 +104,7 @@ class Slot:
         while True:
             report = self._simulation.receive(_POLL_S)
             if self._host.phase.closing.is_set():
-                raise _Stopped  # no job will be claimed, so that the process is not needed
+                raise _Stopped  # no job will be claimed, so the process is not needed
             if report is not None:
                 return report
 
@@ -250,7 +250,7 @@ class Slot:
             # the reply names the bundles to drop; several short episodes may end between two regular heartbeats
             host.phase.heartbeat_due.set()
         log.info("bundle_spooled", episode=name, steps=report.step, seconds=round(report.seconds, 1))
-        # not repeated here: each heartbeat lists the bundle until the coordinator requests to drop it
+        # the request is not repeated, because each heartbeat lists the bundle until the coordinator requests to drop it
         host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)
         return report
 
@@ -299,7 +299,7 @@ class Slot:
                 time.sleep(min(pause_s, host.phase.left_s))
 
     def _pause_after(self, report: SimulationReport) -> None:
-        """Pauses with a backoff after failures that this machine may have caused, so that it fails few jobs."""
+        """Pauses with a backoff after failures that this machine may have caused, so it fails few jobs."""
         if report.reason in {FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}:
             if not self._host.phase.stopping.is_set():
                 self._failing.fail(report.detail, reason=str(report.reason))

@@ -111,7 +111,8 @@ class Spool(Closing):
         """Returns the path at which the caller writes the bundle of a lease before it calls `add`."""
         with self._guard:
             previous = self._entries.get(_key(lease))
-        if previous is not None and previous.lease != lease:  # from an earlier ledger of a run with the same name
+        # the bundle is from an earlier ledger of a run with the same name
+        if previous is not None and previous.lease != lease:
             self.drop(previous.lease)
         return self._file(lease, _BUNDLE)
 
@@ -164,7 +165,7 @@ class Spool(Closing):
             if entry is None or entry.lease != lease:
                 return False
             del self._entries[_key(lease)]
-        # the sidecar goes first: a bundle without one is removed at the next start
+        # the sidecar is deleted first, because a bundle without a sidecar is removed at the next start
         with self._translated():
             self._file(lease, _SIDECAR).unlink(missing_ok=True)
             self._file(lease, _BUNDLE).unlink(missing_ok=True)
@@ -279,7 +280,8 @@ def _adopt(orphaned: Path, mine: Path) -> None:
             stem = _stem(entry.lease)
             if (mine / f"{stem}{_SIDECAR}").exists():
                 continue
-            for suffix in (_BUNDLE, _SIDECAR):  # the sidecar last, because a bundle without sidecar is deleted
+            # the sidecar is moved last, because a bundle without a sidecar is deleted
+            for suffix in (_BUNDLE, _SIDECAR):
                 (orphaned / f"{stem}{suffix}").rename(mine / f"{stem}{suffix}")
             log.info("bundle_adopted", job=entry.lease.job_id, fence=entry.lease.fence)
 

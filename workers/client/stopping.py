@@ -23,7 +23,7 @@ def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
 
     def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
         event = at_once if number == signal.SIGINT and stop.is_set() else stop
-        # in a thread: this handler may have interrupted the holder of the lock that set() needs
+        # set in a thread, because this handler may have interrupted the holder of the lock that set() needs
         threading.Thread(target=event.set, daemon=True).start()
 
     former = {number: signal.signal(number, note) for number in _SIGNALS}
@@ -36,7 +36,7 @@ def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
 
 @contextmanager
 def signals_deferred() -> Iterator[None]:
-    """Delays SIGTERM and Ctrl-C until the end of the block, so that a process started there is known to the caller.
+    """Delays SIGTERM and Ctrl-C until the end of the block, so a process started there is known to the caller.
 
     Only for the main thread.
     """

@@ -141,7 +141,7 @@ class Supervisor:
         return Ending.STOPPED if self._stop.is_set() else Ending.FINISHED
 
     def _poll_stop(self) -> None:
-        # not wait() without timeout: another thread may handle the signal, and this thread would not wake up
+        # wait() needs a timeout: another thread may handle the signal, and this thread would not wake up
         if not self._phase.stopping.is_set() and self._stop.wait(_POLL_S):
             log.info("draining", by="stop", spooled=len(self._host.spool))
             self._phase.stop(_DRAIN_S)

@@ -135,7 +135,7 @@ def projection_matrix(camera: CameraConfig) -> Matrix:
 def intrinsics(camera: CameraConfig, size: int) -> Matrix:
     """Returns the (3, 3) intrinsic matrix, from the optical frame to pixels of a `size` x `size` image.
 
-    The image spans [0, size) in both directions, so that the centre of pixel (row, column) is
+    The image spans [0, size) in both directions, so the centre of pixel (row, column) is
     (column + 0.5, row + 0.5).
     """
     focal = size / 2 / math.tan(math.radians(camera.fov_deg) / 2)

@@ -26,7 +26,7 @@ _MAX_FACE_PX, _MAX_ATLAS_PX = 4096, 16_384
 _ONE_FACE_REACH = 2.0
 """Largest distance from the optical axis on the plane z = 1 in a single face; beyond it, a cube has fewer pixels."""
 _MARGIN_PX = 2
-"""Margin of a face around the pixels that are read, so that interpolation never leaves the face."""
+"""Margin of a face around the pixels that are read, so interpolation never leaves the face."""
 _WEIGHTS = 256
 _AXES = np.array(
     (
@@ -90,8 +90,9 @@ def plan_faces(camera: Camera) -> FacePlan:
     """Returns the plan of a camera; the plans of the most recently used lenses are kept.
 
     At every pixel, the faces have at least the resolution (pixels per radian) that the image has there along its rows
-    or along its columns, whichever is lower. It is also at least the lowest resolution of the whole image along its
-    rows, and at least the lowest along its columns. Near its poles, a panorama has a higher resolution than the faces.
+    or along its columns, whichever is lower. It is nowhere below the lowest resolution of the
+    image along its rows, or below the lowest along its columns. Near its poles, a panorama has a higher resolution than
+    the faces.
 
     Raises:
         UsageError: the faces would be larger than the drivers support.
@@ -167,13 +168,14 @@ def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Float
     if max(map(max, sizes)) > _MAX_FACE_PX or height > _MAX_ATLAS_PX:
         raise UsageError(
             f"the {camera.model} camera of {camera.width} x {camera.height} pixels has up to {focal:.0f} pixels per "
-            f"radian, so that its faces need {width} x {height} pixels; at most {_MAX_FACE_PX} x {_MAX_ATLAS_PX} are "
+            f"radian, so its faces need {width} x {height} pixels; at most {_MAX_FACE_PX} x {_MAX_ATLAS_PX} are "
             "possible: "
             "reduce its resolution or distortion"
         )
     tops = np.concatenate(([0], np.cumsum([size[1] for size in sizes])))
     faces, places = [], np.zeros_like(plane)
-    near = camera.near_m if len(used) == 1 else camera.near_m / 2  # depth at a cube's corner: distance / 1.73
+    # at a cube's corner, the depth is the distance divided by 1.73
+    near = camera.near_m if len(used) == 1 else camera.near_m / 2
     for side, low, size, top in zip(used, lows, sizes, tops.tolist(), strict=False):
         columns, rows = map(int, size)
         half = columns / 2 / focal, rows / 2 / focal

@@ -26,7 +26,7 @@ def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
 
     Without the limit the wheels slip by half a metre per second and the robot drifts 25 cm over 6 m
     (docs/design/robot.md#limits-of-commands). The speed limits are not applied here. The twist is rounded to float32,
-    the precision of the recording, so that a replay of the recorded twists gives the same poses: the limit returns a
+    the precision of the recording, so a replay of the recorded twists gives the same poses: the limit returns a
     recorded twist unchanged.
 
     Args:

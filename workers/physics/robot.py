@@ -17,7 +17,8 @@ CASTERS = ("caster_left", "caster_right")
 _REAR_M, _FRONT_M = -0.607, 0.14  # the footprint along x, from base_link
 _HALF_WIDTH_M = 0.25  # the footprint along y
 _HULL_HALF_WIDTH_M = 0.16  # the narrow hull between the wheels
-_CLEARANCE_M, _DECK_M, _TOP_M = 0.06, 0.305, 0.556  # heights: belly, where the body widens, top
+# heights of the underside, of the part where the body widens, and of the top
+_CLEARANCE_M, _DECK_M, _TOP_M = 0.06, 0.305, 0.556
 _CHASSIS_MASS_KG = 52.9
 _CHASSIS_COM_M = (-0.21, 0.0, 0.283)
 _CHASSIS_INERTIA = (0.969, 2.398, 2.513)

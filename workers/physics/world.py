@@ -38,7 +38,7 @@ _EXACT_SUBSTEPS = (1, 2, 4, 8, 16)
 """Numbers of substeps after which the clock of a physics client is exactly 0 again; with others, a rounding error
 remains and affects the next world."""
 _TYRE_FRICTION = 1.5
-"""Sliding friction of the drive wheels. The casters are frictionless, so that the tyres carry all of the lateral force
+"""Sliding friction of the drive wheels. The casters are frictionless, so the tyres carry all of the lateral force
 in a bend. With 1.0 the robot spins at 5.6 rad/s for the command 1.0 m/s and 1.5 rad/s, which is a point of the action
 grid; with 1.5 it turns at 1.51 rad/s."""
 
@@ -242,7 +242,7 @@ class _Stance:
 
 @functools.cache
 def _resting_stance(robot: RobotConfig, control_hz: int) -> _Stance:
-    """Simulates a robot on an empty floor until it settles, so that `place` needs no steps among obstacles."""
+    """Simulates a robot on an empty floor until it settles, so `place` needs no steps among obstacles."""
     bodies = _Bodies(robot, control_hz, ColliderMesh(()), 0.0)
     with bodies.client:
         for _ in range(_SETTLE_STEPS):

@@ -162,7 +162,7 @@ def _wide_floor(grid: Grid) -> FloorGraph:
 def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig) -> float | None:
     """Returns the length of the shortest path from a start to the success region, metres; the l of SPL.
 
-    The path of cells is shortened to straight segments, so that it is not longer than a free straight line. If the
+    The path of cells is shortened to straight segments, so it is not longer than a free straight line. If the
     straight line from the start is free, no path is searched, because a search takes as long as two frames.
 
     Args:

@@ -1,4 +1,4 @@
-"""Keeps results of functions of a grid together with the grid, so that they are freed with it.
+"""Keeps results of functions of a grid together with the grid, so they are freed with it.
 
 A cache outside the grid would keep the grids, path graphs and pose tables of scenes that are no longer loaded.
 """

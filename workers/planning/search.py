@@ -167,7 +167,7 @@ def _expand(
 ) -> list[Waypoint] | None:
     """Searches for a path with an estimated cost of at most `most_m`, metres; `None` if there is none.
 
-    Free poses are more than a step from the edge of the grid, so that all indices are valid.
+    Free poses are more than a step from the edge of the grid, so all indices are valid.
     """
     flags = table.flags
     ahead: memoryview[Any] = to_go.reshape(-1).data

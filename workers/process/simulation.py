@@ -94,7 +94,7 @@ class Simulation:
         except EOFError:
             return self._reap(self._process)
         if report is None:
-            # sum of the waiting times, not wall time, so that a suspended supervisor does not report a hang
+            # waiting times are added instead of wall time, so a suspended supervisor does not report a hang
             self._silence_s += timeout_s
             return self._give_up(self._process) if self._silence_s > self._limit_s else None
         self._silence_s = 0.0

@@ -121,7 +121,7 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
         """Description of the renderer with driver and version; every episode records it."""
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
-        """Selects the scene and the camera. Recently used scenes stay prepared, so that their next use is fast."""
+        """Selects the scene and the camera. Recently used scenes stay prepared, so their next use is fast."""
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
         """Selects a scene as `load`, without a reference to it.
@@ -133,7 +133,7 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
         """
 
     def make_room(self) -> None:
-        """Frees the prepared scenes that the next new scene replaces, so that it is read with less memory.
+        """Frees the prepared scenes that the next new scene replaces, so it is read with less memory.
 
         If this frees the selected scene, `load` must select one before the next frame.
         """

@@ -69,7 +69,7 @@ def _spans(scene: CompiledScene, parts: NDArray[np.intp]) -> tuple[list[int], li
 
 
 def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns (N, 7) rows; times `PartBounds.facts` they are the height of each box's highest corner above a plane.
+    """Returns a matrix (N, 7). Times `PartBounds.facts`, it is the height of each box's highest corner above a plane.
 
     Args:
         normals: (N, 3) normals n of the planes n x + offset = 0, of any length.
@@ -81,7 +81,7 @@ def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) 
 def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.intp]:
     """Returns the indices of the parts whose box is at least partly in view, the one with the nearest far corner first.
 
-    With this order a floor is drawn after the objects on it, so that its hidden pixels are not shaded.
+    With this order a floor is drawn after the objects on it, so its hidden pixels are not shaded.
 
     Args:
         bounds: bounding boxes of the parts.

@@ -36,7 +36,7 @@ from workers.render.sky import SkyPainter
 
 _KEPT_TARGETS = 16
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
-"""Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""
+"""Libraries of the context. libEGL provides all functions of OpenGL, so the user need not install libGL."""
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
 """Remedy for a forked process, which has the driver's memory without its threads: rendering would wait forever."""
 _used_by: set[int] = set()
@@ -101,7 +101,7 @@ class GlRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; the most recently used scenes stay on the device."""
-        # the cache keeps the lambda and thus the scene, so that no other scene gets its id
+        # the cache keeps the lambda and thus the scene, so no other scene gets its id
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
@@ -113,11 +113,11 @@ class GlRenderer(Closing):
         self._sky = SkyPainter(self._scene.sky)
 
     def make_room(self) -> None:
-        """Frees prepared scenes in advance, so that the next scene fits; see `Renderer`."""
+        """Frees prepared scenes in advance, so the next scene fits; see `Renderer`."""
         self._require_own_process()
         with self._context:
             self._shelf.make_room()
-        if not self._shelf.keys:  # the selected scene is the last to be freed
+        if not self._shelf.keys:  # without prepared scenes, the selected scene was freed, too
             self._scene = None
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:

@@ -60,7 +60,7 @@ class _Mesh(NamedTuple):
     def of(cls, context: moderngl.Context, scene: CompiledScene) -> _Mesh:
         every = _interleave(scene)
         firsts, found = _unique_rows(every)
-        order = np.argsort(firsts)  # in the order of the parts, so that the vertices of a part are contiguous
+        order = np.argsort(firsts)  # in the order of the parts, so the vertices of a part are contiguous
         rank = np.empty(len(order), np.uint32)
         rank[order] = np.arange(len(order))
         vertices, corners = every[firsts[order]], rank[found]

@@ -1,6 +1,6 @@
 """Render targets of the OpenGL renderer: colour, ids, and a depth buffer that serves as the depth image.
 
-The depth buffer stores near / depth as float, which has the relative precision of a float at all distances, so that no
+The depth buffer stores near / depth as float, which has the relative precision of a float at all distances, so no
 third image has to be rendered. Does not depend on scenes or shader programs.
 """
 
@@ -21,7 +21,7 @@ _GUARD = 3
 """Width of the viewport as a multiple of the target, which is at its centre. llvmpipe draws a triangle with a corner
 outside the viewport at a third of the speed, and the part of a triangle outside the target at no cost."""
 _ONTO_TARGET = np.array((1.0 / _GUARD, -1.0 / _GUARD, 1.0, 1.0))[:, None]
-"""Scale to the centre of the viewport; y is mirrored, so that the top row of an image is first in memory, where OpenGL
+"""Scale to the centre of the viewport; y is mirrored, so the top row of an image is first in memory, where OpenGL
 has the bottom row."""
 _ALL_TARGETS: Any = ((True,) * 4,) * 2
 _DEPTH_ONLY: Any = ((False,) * 4,) * 2
@@ -33,7 +33,7 @@ _DEPTH_COMPONENT32F, _DEPTH_COMPONENT, _FLOAT = 0x8CAC, 0x1902, 0x1406
 def onto_target(clip: NDArray[np.float64], near_m: float) -> NDArray[np.float64]:
     """Returns the (4, 4) matrix, for column vectors, with which a `GlTarget` shows the image of `clip`.
 
-    Its z is the near distance, so that the division by w gives near / depth; it does not clip at the far plane.
+    Its z is the near distance, so the division by w gives near / depth; it does not clip at the far plane.
 
     Args:
         clip: (4, 4) matrix from world to OpenGL clip space, for column vectors; its w is the depth in metres.
@@ -111,7 +111,7 @@ class GlTarget:
         near, farthest = np.float32(view.near_m), _least_height(view)
         if depth.min() < farthest:
             void = np.flatnonzero(depth < farthest)
-            depth.reshape(-1)[void] = np.inf  # the division gives 0
+            depth.reshape(-1)[void] = np.inf  # the division below gives depth 0
             images: tuple[NDArray[Any], ...] = (ids, *beside)
             for image in images:
                 image.reshape(depth.size, -1)[void] = 0

@@ -1,7 +1,7 @@
 """Texture arrays of scenes on the graphics device. Layers of another scene are copied with their mipmaps.
 
 Generating the mipmaps of a layer takes 3 ms of CPU time with llvmpipe, and the layouts of a family share most layers.
-moderngl has no function that copies between textures, so that three functions of OpenGL are called directly.
+moderngl has no function that copies between textures, so three functions of OpenGL are called directly.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class TextureStore:
         for stored in self._arrays:
             for place, reference in enumerate(stored.layers):
                 layer = reference()
-                if layer is not None:  # the layer exists, so that no other object has its id
+                if layer is not None:  # the layer exists, so no other object has its id
                     known[id(layer)] = stored.array, place
         return [known.get(id(layer)) for layer in layers]
 

@@ -1,6 +1,6 @@
 """Occlusion culling: finds the parts that are completely behind one wall; walls are large rectangles in the scene.
 
-Pure geometry. The test is conservative, so that an image is the same with and without it.
+Pure geometry. The test is conservative, so an image is the same with and without it.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class ProcessRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
-        # the cache keeps the lambda and thus the scene, so that no other scene gets its id
+        # the cache keeps the lambda and thus the scene, so no other scene gets its id
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:

@@ -188,7 +188,7 @@ def _environment(kept_scenes: int) -> dict[str, str]:
 
 
 def _end(process: subprocess.Popen[bytes], held: contextlib.ExitStack) -> None:
-    """Closes the connection, so that the process exits; kills a process that does not exit."""
+    """Closes the connection, so the process exits; kills a process that does not exit."""
     held.close()
     try:
         process.wait(_REAP_S)

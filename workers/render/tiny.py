@@ -63,7 +63,7 @@ class TinyRenderer(Closing):
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Selects the scene and the camera; recently used scenes stay prepared."""
-        # the cache keeps the lambda and thus the scene, so that no other scene gets its id
+        # the cache keeps the lambda and thus the scene, so no other scene gets its id
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
@@ -73,9 +73,9 @@ class TinyRenderer(Closing):
         self._sky = SkyPainter(self._scene.sky)
 
     def make_room(self) -> None:
-        """Frees prepared scenes in advance, so that the next scene fits; see `Renderer`."""
+        """Frees prepared scenes in advance, so the next scene fits; see `Renderer`."""
         self._shelf.make_room()
-        if not self._shelf.keys:  # the selected scene is the last to be freed
+        if not self._shelf.keys:  # without prepared scenes, the selected scene was freed, too
             self._scene = None
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:

@@ -19,7 +19,7 @@ from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
 _EDGE_PX = 1.0
 """Second difference of the disparity over half a matching window above which the window contains an edge, pixels."""
 _BAND = 64
-"""Rows that are computed at once, a multiple of 4, so that intermediate values stay in the cache of the processor."""
+"""Rows that are computed at once, a multiple of 4, so intermediate values stay in the cache of the processor."""
 _LEAST_PX = np.float32(1e-6)
 """Positive disparity that replaces disparities of 0 and less, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
@@ -157,7 +157,7 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
 def edges(disparity: Singles, window_px: int) -> Bools:
     """Returns the pixels (H, W) whose matching window contains a depth edge.
 
-    The disparity of a plane is linear in the image, so that a second difference over half a window shows an edge and
+    The disparity of a plane is linear in the image, so a second difference over half a window shows an edge and
     not a slope.
     """
     half, height = window_px // 2, len(disparity)
@@ -188,7 +188,7 @@ def holes(shape: tuple[int, int], share: float, key: NoiseKey, step: int) -> Boo
 def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
     """Returns (H, W) values interpolated between random numbers.
 
-    The values are whole numbers below 2^24, so that sums in float32 are exact.
+    The values are whole numbers below 2^24, so sums in float32 are exact.
     """
     height, width = shape
     coarse = key.bits(Effect.HOLES, (-(-height // _HOLE_BLOCKS) + 1, -(-width // _HOLE_BLOCKS) + 1), step) >> 8
@@ -198,7 +198,7 @@ def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
 def _interpolated(values: Singles, side: int) -> Singles:
     """Returns rows (side, N), interpolated between rows (M, N) at a distance of `_HOLE_BLOCKS` rows.
 
-    The values are multiplied by `_HOLE_BLOCKS`, so that they stay whole numbers.
+    The values are multiplied by `_HOLE_BLOCKS`, so they stay whole numbers.
     """
     share = np.arange(_HOLE_BLOCKS, dtype=np.float32)[:, None]
     between = values[:-1, None] * (_HOLE_BLOCKS - share) + values[1:, None] * share

@@ -1,6 +1,6 @@
 """Poses of sensors along a trajectory: mounting pose, world frame, and poses between control steps.
 
-Pure functions on arrays of poses x, y, z, qw, qx, qy, qz of base_link, as recorded. Uses no BLAS, so that the results
+Pure functions on arrays of poses x, y, z, qw, qx, qy, qz of base_link, as recorded. Uses no BLAS, so the results
 have the same bits on every processor.
 """
 

@@ -1,6 +1,6 @@
 """Inertial measurement unit: angular velocity and specific force of a moving sensor frame, with bias and noise.
 
-Computes a whole episode from its exact poses. The first measurements do not depend on later poses, so that a prefix of
+Computes a whole episode from its exact poses. The first measurements do not depend on later poses, so a prefix of
 an episode gives a prefix of the measurements.
 """
 
@@ -77,7 +77,7 @@ def angular_velocities(poses: Floats, rate_hz: float) -> Floats:
 def specific_forces(positions: Floats, frames: Floats, rate_hz: float) -> Floats:
     """Returns specific forces (N, 3) in the sensor frame, m/s2.
 
-    The acceleration is the second difference of the positions (N, 3) of the sensor, so that it contains the centripetal
+    The acceleration is the second difference of the positions (N, 3) of the sensor, so it contains the centripetal
     and tangential acceleration of the lever arm. It is the acceleration at the previous position, so the rotation
     (N, 3, 3) at that position converts it to the sensor frame. Before the first pose the robot is at rest.
     """

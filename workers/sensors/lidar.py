@@ -91,7 +91,7 @@ def noisy_ranges(scan: LidarScan, noise: LidarNoise, key: NoiseKey, step: int) -
 
     A return is lost at random, or because it is too weak: the received power of a matt surface that fills the beam is
     proportional to cos(a) / r^2 (W. Wagner et al., "Gaussian decomposition and calibration of a novel small-footprint
-    full-waveform digitising airborne laser scanner", ISPRS Journal 60(2), 2006), so that the longest range is
+    full-waveform digitising airborne laser scanner", ISPRS Journal 60(2), 2006), so the longest range is
     `matt_range_m` times the square root of cos(a).
 
     Args:

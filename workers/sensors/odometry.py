@@ -72,7 +72,7 @@ def slip(noise: OdometryNoise, travels: Floats, key: NoiseKey) -> Floats:
     """Returns the additional slip (T, 2) of each wheel and step, metres.
 
     Its variance is proportional to the travel (K. S. Chong and L. Kleeman, "Accurate odometry and error modelling for a
-    mobile robot", ICRA 1997), so that the error after a distance does not depend on the control rate.
+    mobile robot", ICRA 1997), so the error after a distance does not depend on the control rate.
     """
     normals = key.normals(Effect.WHEEL_SLIP, travels.shape).astype(np.float64)
     return np.asarray(noise.slip_std_m * np.sqrt(np.abs(travels)) * normals)

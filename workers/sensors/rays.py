@@ -15,7 +15,7 @@ from workers.sensors.lidar import RayHits
 _SAME_M = np.float32(1e-4)
 """Distance below which two faces count as being at the same place, metres."""
 _BEHIND_M = np.geomspace(1e-4, 1e-2, 16)
-"""Distance behind the first, second, ... back face from which a ray continues, metres. The distance grows, so that
+"""Distance behind the first, second, ... back face from which a ray continues, metres. The distance grows, so
 a ray that grazes a face gets past it. A ray that meets more back faces than this hits nothing."""
 _TILTED = np.array((0.58, 0.21, 0.79))
 """Direction that is not parallel to the faces of usual objects."""
@@ -39,7 +39,7 @@ class SceneRays:
         """Returns the first hit of each of N rays; see `RayCaster`.
 
         A renderer draws front faces only, so a ray passes through a back face. Embree finds the triangle; the distance
-        is computed from its plane in float64, so that it does not depend on the processor.
+        is computed from its plane in float64, so it does not depend on the processor.
         """
         eyes, ways = origins.astype(np.float32), directions.astype(np.float32)
         lengths = np.full(len(eyes), reach_m, np.float32)

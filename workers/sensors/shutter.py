@@ -21,7 +21,7 @@ def shutter_offsets(noise: ColourNoise, control_hz: int) -> Floats:
     """Returns the times (K,) of the images that are mixed into one image, in control steps relative to it, at most 0.
 
     Without motion blur and rolling shutter, the only time is 0. The exposure of the last row ends at the control step
-    itself, so that an image does not depend on later poses.
+    itself, so an image does not depend on later poses.
     """
     duration = noise.motion_blur_s + noise.rolling_shutter_s
     if not duration:

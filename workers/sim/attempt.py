@@ -85,7 +85,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     place = stage.loaded(job.scene_sha256)
     target = start_target(job, place.scene.info)
     rng = job.rng()
-    stage.renderer.load(place.scene, job.camera)  # before the world is built, because both can need much memory
+    stage.renderer.load(place.scene, job.camera)  # loaded before the world is built, because both can need much memory
     is_clear = partial(is_view_clear, job, place.scene.info, stage.renderer)
     for draws, start in enumerate(draw_poses(job, target, place, rng, is_clear), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:

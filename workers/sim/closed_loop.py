@@ -27,7 +27,7 @@ from workers.sim.termination import Termination
 class ClosedLoop:
     """Closed loop of one episode: the caller calls `decide` with an action, then `advance`, until `decide` ends it.
 
-    Frame t and pose t are taken before action t; the last action is recorded, not carried out, so that every array
+    Frame t and pose t are taken before action t; the last action is recorded, not carried out, so every array
     has the length T and the end can be verified from the poses alone (docs/design/data.md#bundle).
 
     Args:
@@ -118,7 +118,7 @@ class ClosedLoop:
 
 
 class _RendererHandle:
-    """Releasable reference to the renderer. Observations hold it instead of the loop, so that old frames are freed."""
+    """Releasable reference to the renderer. Observations hold it instead of the loop, so old frames are freed."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer: Renderer | None = renderer

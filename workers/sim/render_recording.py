@@ -43,7 +43,8 @@ def render_recording(
         place = stage.loaded(job.scene_sha256)
         shown = show_appearance(job, job.view.appearance, place, stage.renderer, recorded.arrays.poses)
         writer = BundleWriter(out, stage.timer)
-        sampled = recorded.meta.sampled_digests if shown.drawn is None else {}  # samples have no variation
+        # the recorded digests are of frames without varied appearance
+        sampled = recorded.meta.sampled_digests if shown.drawn is None else {}
 
         def check(count: int) -> None:
             t = count - 1

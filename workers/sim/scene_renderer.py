@@ -120,7 +120,7 @@ class SceneRenderer(Closing):
         """
         if sha256 not in self._loaded:
             self.renderer.make_room()
-            while len(self._loaded) >= self._kept_scenes:  # before reading, to limit the memory
+            while len(self._loaded) >= self._kept_scenes:  # scenes are freed before one is read, to limit the memory
                 self._loaded.popitem(last=False)
             self._loaded[sha256] = prepare_scene(read_scene(path))
         if light is not None and self._loaded[sha256].light is None:

@@ -31,7 +31,7 @@ ARRIVAL_RADIUS_M = 0.97
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
 _DISTANCE_STREAM = 1
-"""Key of the random stream of the distances of an episode with blind draws."""
+"""Key of the random stream of the distances of an episode whose starts are drawn without a check for obstacles."""
 _PREDICTIONS = 32
 """Largest number of starts whose view is tested; in the near and mid tiers, the number for each distance. For an expert
 that drives straight, also the largest number of starts whose path is predicted; if none of them has

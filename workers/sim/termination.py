@@ -16,7 +16,7 @@ class Termination:
     """Evaluates the frames of one episode in order (paper Sec. II-A; docs/design/task.md#ends-of-an-episode).
 
     A frame is evaluated before its action is executed. Success requires `hold_steps` consecutive frames inside the
-    radius with a measured speed below the limit, so that it can be verified from the recorded poses alone.
+    radius with a measured speed below the limit, so it can be verified from the recorded poses alone.
     """
 
     def __init__(self, task: TaskConfig, hold_steps: int | None = None) -> None:

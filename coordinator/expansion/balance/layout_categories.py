@@ -1,7 +1,7 @@
 """Gives each cell of a layout its exact quota of categories, from the plan only. Reads no scene.
 
 A family has a sequence of seen categories and a sequence of held-out categories. A sequence consists of random
-permutations of its categories, so that their numbers of episodes differ by at most one. Each layout uses the places of
+permutations of its categories, so their numbers of episodes differ by at most one. Each layout uses the places of
 the sequences that the plan assigns to it.
 """
 

@@ -19,7 +19,7 @@ def category_quotas(scenes: Sequence[SceneCells]) -> dict[str, dict[Cell, Counte
     """Returns the number of episodes of each category in each cell, by name of the scene.
 
     The cells of one split and tier are levelled together over all scenes, and continue the totals of the splits and
-    tiers before them, so that every split and tier has even categories as far as possible. At the end all cells are
+    tiers before them, so every split and tier has even categories as far as possible. At the end all cells are
     levelled together.
     """
     places = [(scene, cell) for scene in scenes for cell in scene.quota]
@@ -90,7 +90,7 @@ def _lower(
 def _chains(
     high: str, shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]]
 ) -> dict[str, tuple[str, int]]:
-    """Returns, for every category that a chain reaches, the category that gives it episodes and the place."""
+    """Returns, for each category that a chain reaches, the category that gives it episodes, and the place."""
     takes_from: dict[str, tuple[str, int]] = {}
     front = [high]
     while front:

@@ -1,4 +1,4 @@
-"""Digest of a closed ledger (`ledger.digest`), so that the next start need not audit an unchanged file.
+"""Digest of a closed ledger (`ledger.digest`), so the next start need not audit an unchanged file.
 
 Does not open the ledger. A ledger on a database server has no digest.
 """

@@ -47,7 +47,7 @@ def sqlite_url(file: Path) -> str:
 def open_writer(url: str, mounts: Path = MOUNTS) -> Engine:
     """Returns the engine of the single writer.
 
-    On SQLite it uses WAL, synchronous=FULL and BEGIN IMMEDIATE, so that a commit survives a power failure and a
+    On SQLite it uses WAL, synchronous=FULL and BEGIN IMMEDIATE, so a commit survives a power failure and a
     transaction cannot fail because of another writer. On a server it uses one connection, which holds the database's
     lock.
 

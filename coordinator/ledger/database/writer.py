@@ -159,7 +159,7 @@ class Writer(Closing):
             self._answers.put(answer)
 
     def _commit_apart(self, connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:
-        """Executes each request under a savepoint, so that a failing request does not affect the others."""
+        """Executes each request under a savepoint, so a failing request does not affect the others."""
         try:
             with connection.begin():
                 outcomes = [_run_guarded(connection, request) for request in batch]

@@ -41,6 +41,7 @@ _ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = MappingProxyType(
 _TASK_FAILURES = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_task_failure)
 _WORKER_FAILED = ", ".join(f"'{name}'" for name in recorded_names(Event.WORKER_FAILED))
 _OPEN = ", ".join(f"'{state}'" for state in OPEN_STATES)
+_ORPHAN = "an event belongs to a job that does not exist"
 _RULES: Mapping[str, str] = MappingProxyType(
     {
         "draws of an episode are missing, duplicated or not superseded": """
@@ -74,11 +75,11 @@ _RULES: Mapping[str, str] = MappingProxyType(
         "an attempt belongs to another job": """
             SELECT attempts.idx FROM attempts LEFT JOIN jobs ON jobs.id = attempts.job_id
             WHERE jobs.id IS NULL OR jobs.idx != attempts.idx OR jobs.draw != attempts.draw""",
-        "an event belongs to no job": """
+        _ORPHAN: """
             SELECT events.job_id FROM events LEFT JOIN jobs ON jobs.id = events.job_id WHERE jobs.id IS NULL""",
     }
 )
-"""Mapping of a fault to the query for the numbers of the affected episodes."""
+"""Mapping of a fault to the query for the numbers of the affected episodes; for `_ORPHAN`, the ids of jobs."""
 _SQLITE_RULES: Mapping[str, str] = MappingProxyType(
     {
         "an episode's row and its summary differ": """
@@ -172,7 +173,7 @@ def _findings(connection: Connection, catalog: Catalog | None) -> Iterator[str]:
     for what, query in {**_RULES, **(_SQLITE_RULES if is_sqlite else {})}.items():
         row = connection.execute(text(f"{query} LIMIT 1")).first()
         if row is not None:
-            yield f"is damaged: {what} (number {row[0]})"
+            yield f"is damaged: {what} ({'job' if what == _ORPHAN else 'episode'} {row[0]})"
     yield from _plan_findings(connection, plan)
     yield from _history_findings(connection, plan)
     if catalog is not None:

@@ -80,7 +80,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
     """Starts the server of a dataset and measures it.
 
     Args:
-        root: dataset, which may be running.
+        root: dataset, whose run may be in progress.
         repeats: number of timed requests of each page.
         tabs: number of open farm pages.
         seconds: time for which the pages are open, seconds; before that, the idle server is measured for as long.

@@ -1,8 +1,8 @@
 """Generates the dataset of a finished run from a few recorded episodes: ledger, shards, tables. Simulates nothing.
 
-Each episode is a copy of a recorded episode, with the job of a planned episode and slightly shifted poses, so that no
+Each episode is a copy of a recorded episode, with the job of a planned episode and slightly shifted poses, so no
 two files are equal. Every twentieth episode has a failed attempt. Files, sizes and tables are like those of a run. The
-content digests are wrong and the motion does not lead to the targets, so that `factory verify --deep` reports errors.
+content digests are wrong and the motion does not lead to the targets, so `factory verify --deep` reports errors.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from schemas.plan import Plan
 from schemas.scene import Target
 
 _LEASE_S = 600.0
-"""Lease duration, seconds; long, so that no lease expires on a busy machine."""
+"""Lease duration, seconds; long, so no lease expires on a busy machine."""
 _LOOPBACK = ("tcp/127.0.0.1:0",)
 
 
@@ -51,7 +51,7 @@ class CoordinatorUsage(Model):
 
 
 class _AcceptAll:
-    """Validator that accepts every bundle, so that the benchmark measures the transfer only."""
+    """Validator that accepts every bundle, so the benchmark measures the transfer only."""
 
     def __init__(self, meta: EpisodeMeta, sha256: str, size: int) -> None:
         self._meta, self._sha256, self._size = meta, sha256, size

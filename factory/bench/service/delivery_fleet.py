@@ -104,7 +104,8 @@ class DeliveringWorker(BenchWorker):
         while self._deliver_next():
             while len(self._waiting) >= self._at_once:
                 self._drop_archived(_HURRIED_S)
-            if 2 * len(self._waiting) >= self._at_once:  # as a worker does whose spool fills up
+            # a worker whose spool is half full does not wait for its next heartbeat
+            if 2 * len(self._waiting) >= self._at_once:
                 self._drop_archived(_HURRIED_S, waits=False)
             else:
                 self._drop_archived(_BEAT_S, waits=False)

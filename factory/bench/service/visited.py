@@ -30,7 +30,7 @@ from schemas.storage.dataset_files import META_FILE
 from schemas.support.child import python_module
 
 _EPISODES_PER_S = 20
-"""Planned episodes per worker and second; a worker completes fewer, so that the run does not end too early."""
+"""Planned episodes per worker and second; a worker completes fewer, so the run does not end too early."""
 _SLOW_CLIENTS = 100
 _VISIT_S = 10.0
 """Pause of a viewer between two visits of the pages, seconds."""

@@ -1,6 +1,6 @@
 """Benchmarks whole runs on this machine: coordinator, workers, validation and archive, from start to finished dataset.
 
-Variants of a plan take turns, so that a change of the machine's load affects all of them. The datasets are deleted.
+Variants of a plan take turns, so a change of the machine's load affects all of them. The datasets are deleted.
 """
 
 from __future__ import annotations

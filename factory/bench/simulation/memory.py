@@ -22,7 +22,7 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 from workers.process.simulation import ProcessEnd, Simulation
 
 _WHOLE_EVERY = 41
-"""Every n-th episode runs to its end, in addition to the first of each scene; n is prime, so that all scenes occur."""
+"""Every n-th episode runs to its end, in addition to the first of each scene; n is prime, so all scenes occur."""
 _STEPS = 5
 """Step limit of all other episodes."""
 _TENTH = 10

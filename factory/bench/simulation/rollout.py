@@ -166,7 +166,7 @@ def time_delivery(file: BinaryIO, repeats: int) -> tuple[StageCost, ...]:
     """Validates and archives the bundle in `file` `repeats` times and returns the cost of both stages per frame.
 
     Raises:
-        InvalidBundle: The bundle is not valid, so that its validation time would not be representative.
+        InvalidBundle: The bundle is not valid, so its validation time would not be representative.
     """
     return stage_costs([_deliver(file) for _ in range(repeats)])
 

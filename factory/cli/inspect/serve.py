@@ -27,8 +27,8 @@ _DEFAULT = "127.0.0.1:8080"
     "--http-token",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="File whose first line is the token that every request requires. Default: a random token that only requests "
-    "that change something require.",
+    help="File whose first line is the token that every request requires. Default: a random token, "
+    "required only for requests that change something.",
 )
 @evaluations_option
 @tls_option

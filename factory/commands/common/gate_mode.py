@@ -1,4 +1,4 @@
-"""Modes of `--gate` and the numbers of the gate. Imports nothing, so that help pages are shown fast."""
+"""Modes of `--gate` and the numbers of the gate. Imports nothing, so help pages are shown fast."""
 
 from __future__ import annotations
 

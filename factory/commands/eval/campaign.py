@@ -76,7 +76,7 @@ def make_campaign(asked: EvalOptions, drives_here: bool = True) -> Campaign:
 
     Args:
         asked: values of the options.
-        drives_here: True if this machine runs the episodes, so that the policies must be installed here.
+        drives_here: True if this machine runs the episodes, so the policies must be installed here.
 
     Raises:
         UsageError: a policy, a split, the specs file or the rig does not exist, a package of a policy or of a sensor is

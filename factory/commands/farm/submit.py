@@ -72,7 +72,7 @@ def slurm(
 
 
 def _submit(job: SlurmJob, mode: Mode) -> dict[str, int]:
-    """Submits the jobs; removes the folder of the run if Slurm refuses them, so that the command can be repeated."""
+    """Submits the jobs; removes the folder of the run if Slurm refuses them, so the command can be repeated."""
     try:
         return submit_all(job, mode)
     except WorldError:

@@ -28,7 +28,7 @@ _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
 """Time without an answer after which `--watch` gives up, seconds; a restart of a coordinator takes a few seconds."""
 _FIRST = max(map(len, BUILTIN_CATEGORIES))
-"""Width of the first columns, characters, so that the numbers of all tables are aligned."""
+"""Width of the first columns, characters, so the numbers of all tables are aligned."""
 _REASON_CHARS = 200
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 _ALWAYS = ("pending", "leased", "archived")

@@ -69,7 +69,7 @@ class Policy(Protocol):
 
 
 class BlindPolicy(ABC):
-    """Base class of policies that use no camera images, so that none are rendered for them."""
+    """Base class of policies that use no camera images, so none are rendered for them."""
 
     knows: ClassVar[str] = "nothing"
     """Description of the information that the policy uses, for the results."""

@@ -47,7 +47,7 @@ TRACK_HZ = 10
 
 
 class PolicyCallObserver(Protocol):
-    """Observer of policy calls, so that a monitor can distinguish a hanging policy from a hanging simulation."""
+    """Observer of policy calls, so a monitor can distinguish a hanging policy from a hanging simulation."""
 
     def before_call(self, simulator: Simulator, view: Observation) -> None:
         """Called before a call of the policy, with the current view; the first call of an episode is its reset."""

@@ -105,5 +105,5 @@ class EpisodeResult(Model):
 
     @property
     def is_grounded(self) -> bool:
-        """Returns whether at least two categories were in view at the start, so that the instruction was needed."""
+        """Returns whether at least two categories were in view at the start, so the instruction was needed."""
         return self.categories_in_view >= 2

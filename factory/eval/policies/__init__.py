@@ -97,7 +97,7 @@ def find_policy(name: str) -> PolicyEntry:
 
 
 def is_user_class(name: str) -> bool:
-    """Returns whether the policy is a user class, so that creating it imports a user module.
+    """Returns whether the policy is a user class, so creating it imports a user module.
 
     Raises:
         UsageError: The name is not valid.

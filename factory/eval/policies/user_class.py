@@ -26,7 +26,7 @@ def load_class(name: str) -> Policy:
     """Returns an instance of `package.module:Class`; the module may be in the working directory.
 
     During import and construction, the working directory is first in `sys.path`, as for a script; afterwards it is
-    last, so that later imports of the policy find their modules, and this software does not import from it by mistake.
+    last, so later imports of the policy find their modules, and this software does not import from it by mistake.
 
     Raises:
         UsageError: The module or class does not exist, or the construction failed; the message contains the location.
@@ -53,7 +53,7 @@ def _working_directory_first() -> Iterator[None]:
     try:
         yield
     finally:
-        with contextlib.suppress(ValueError):  # the module may have removed it
+        with contextlib.suppress(ValueError):  # the module may have removed the folder from the path
             sys.path.remove(here)
         if here not in sys.path:
             sys.path.append(here)

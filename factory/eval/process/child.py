@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 
-# numpy and Mesa read these variables on import: one process uses one core
+# numpy and Mesa read these variables when they are imported; each process uses one core
 os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,6 +1,6 @@
 """Status of a driver process in shared memory, read by the monitoring process.
 
-Writing needs no lock and no system call, so that the monitor also detects a policy that hangs while it holds the GIL. A
+Writing needs no lock and no system call, so the monitor also detects a policy that hangs while it holds the GIL. A
 checksum lets the reader detect a partial write. Starts no process and calls no policy.
 """
 

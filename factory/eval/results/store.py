@@ -1,6 +1,6 @@
 """Directory of an evaluation: its specs, its options, and every finished episode. The only writer of these files.
 
-Each finished episode is appended and synced, so that an interrupted evaluation can be resumed. Runs no episodes.
+Each finished episode is appended and synced, so an interrupted evaluation can be resumed. Runs no episodes.
 """
 
 from __future__ import annotations

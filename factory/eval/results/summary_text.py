@@ -29,7 +29,7 @@ def ablation_rows(
 
 
 def policies_without_instruction(policies: Sequence[PolicyScores]) -> list[str]:
-    """Returns the names of policies that do not use the instruction, so that their gap is 0 by construction."""
+    """Returns the names of policies that do not use the instruction, so their gap is 0 by construction."""
     return [policy.policy for policy in policies if not policy.reads_instruction]
 
 

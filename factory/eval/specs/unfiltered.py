@@ -87,7 +87,7 @@ def unfiltered_specs(
 
 
 def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Plan:
-    """Returns the plan with these splits only, and with the planner, so that every reachable target can be drawn."""
+    """Returns the plan with these splits only, and with the planner, so every reachable target can be drawn."""
     scenes = []
     for scene in plan.parts:
         is_unseen = isinstance(scene, LayoutPlan) and scene.is_unseen

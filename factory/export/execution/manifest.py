@@ -1,6 +1,6 @@
 """Reads, writes and compares `export.json`: source, options and completeness of the export in a directory.
 
-Contains no times, so that equal exports have equal bytes.
+Contains no times, so equal exports have equal bytes.
 """
 
 from __future__ import annotations

@@ -243,7 +243,7 @@ def _finish(state: _State, manifest: ExportManifest) -> ExportManifest:
         state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
     except _Stopped:
         return manifest
-    state.out.before_file = lambda: None  # only the manifest is left to write
+    state.out.before_file = lambda: None  # ignores a request to stop, because only the manifest remains to be written
     frames = sum(state.frame_counts.values())
     update = {"episodes": len(pieces), "frames": frames, "complete": not skipped, "skipped": skipped}
     manifest = manifest.model_copy(update=update)

@@ -1,6 +1,6 @@
 """Computes the columns of the sensors of a rig: odometry, IMU and scans, as they are known at each exported frame.
 
-A row has the latest measurement at or before its frame, so that no row depends on the future. Pure functions.
+A row has the latest measurement at or before its frame, so no row depends on the future. Pure functions.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ MODALITY: dict[str, dict[str, dict[str, Any]]] = {
     "annotation": {"human.task_description": {"original_key": "task_index"}},
 }
 """Names of the parts of state and action, and the columns of camera and instruction. The actions are not `absolute`,
-so that GR00T pads them after the last frame with zeros, which stop the robot, and not with the last value."""
+so GR00T pads them after the last frame with zeros, which stop the robot, and not with the last value."""
 
 
 class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):

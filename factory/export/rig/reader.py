@@ -1,6 +1,6 @@
 """Reads the measurements of the rig of an episode for exporters: at their times, or the latest before a step.
 
-Every sensor measures at step 0, so that a latest measurement always exists. Encodes nothing.
+Every sensor measures at step 0, so a latest measurement always exists. Encodes nothing.
 """
 
 from __future__ import annotations

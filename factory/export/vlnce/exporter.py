@@ -101,7 +101,7 @@ def _write_once(out: Output, name: str, parts: Iterator[str]) -> None:
     with (
         out.replacing(name) as part,
         part.open("wb") as file,
-        # no name and time in the header, so that equal episodes give equal files
+        # the header has no name and no time, so equal episodes give equal files
         gzip.GzipFile(filename="", mode="wb", fileobj=file, compresslevel=_GZIP_LEVEL, mtime=0) as packed,
     ):
         for text in parts:

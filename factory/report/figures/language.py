@@ -54,7 +54,7 @@ def draw(material: ReportInput) -> Figure:
         f"{count(found.instructions, 'distinct instruction')}. "
         "Blue, in the first frame: the target is the object nearest to the camera, or the object with the "
         "smallest bearing, or the object of its category with the smallest bearing, the smallest distance or the "
-        "largest mask, so that it can be found without language or without spatial reasoning. "
+        "largest mask, so it can be found without language or without spatial reasoning. "
         "Yellow: category and colour of the instruction fit several objects. "
         "Red: the target is not in view in the first frame but another object of its category is (contradictory), or "
         "the instruction has “in front of you” and the target is not in view or more than 30 degrees from the heading."

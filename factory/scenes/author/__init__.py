@@ -126,7 +126,8 @@ def author_scene(scene: BuiltinScene, seed: int, directory: Path) -> Path:
     Raises:
         WorldError: the seed has no valid layout; another seed may have one.
     """
-    from factory.scenes.author.usd_writer import write_scene  # 200 MB of USD, only when a scene is written
+    # loads 200 MB of OpenUSD, which only writing a scene needs
+    from factory.scenes.author.usd_writer import write_scene
 
     return write_scene(lay_out_scene(scene, seed), scene.name, directory, scene.metres_per_unit)
 
@@ -142,7 +143,7 @@ def author_content(scene: BuiltinScene, seed: int) -> Extraction:
         WorldError: the seed has no valid layout; another seed may have one.
     """
     plan = lay_out_scene(scene, seed)
-    from factory.scenes.author.content import content_of  # only when a scene is compiled
+    from factory.scenes.author.content import content_of  # imported here, because only compiling a scene needs it
 
     return content_of(plan, scene.name, f"{scene.name}\n{seed}\n{AUTHOR_VERSION}")
 

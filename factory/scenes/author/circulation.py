@@ -26,8 +26,8 @@ _RATIO = (0.75, 1.33)
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""The rooms of a row become wider or narrower to fill its length. This is the largest change, as a share of the change
-that the limits of their widths permit."""
+"""Largest total change of the widths of the rooms in a row, as a share of the change that their limits permit. Widths
+change to fill the length of the row."""
 _STEPS = 24
 """Number of bisections of the scale of a floor."""
 

@@ -22,7 +22,7 @@ _FOLDER = "drawn"
 
 
 def draw_pixels(recipe: TextureRecipe) -> Layer:
-    """Draws a texture, which is the same for all layouts. Each texture has a separate random generator, so that a new
+    """Draws a texture, which is the same for all layouts. Each texture has a separate random generator, so a new
     texture does not change others."""
     pixels = draw_texture(recipe.name, np.random.default_rng([_SEED, zlib.crc32(recipe.name.encode())]))
     pixels.flags.writeable = False

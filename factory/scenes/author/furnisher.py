@@ -18,7 +18,7 @@ _WALL_ROW_DEPTH_M = 0.66
 _THING_M = 0.34
 """Width reserved for each small object on furniture, metres."""
 _VARIANTS = 32_760
-"""Common multiple of the numbers of variants, so that each variant is equally probable."""
+"""Common multiple of the numbers of variants, so each variant is equally probable."""
 _FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
 """Number of variants that one building uses; it is small, because each variant has its own texture."""
 _JOINT_M = 0.8

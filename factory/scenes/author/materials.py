@@ -96,7 +96,7 @@ def textured(texture: str, colour: str, tile_m: float, roughness: float = 0.7) -
 
 
 def tinted(texture: str, name: str, colour: str, tile_m: float = 1.0, roughness: float = 0.7) -> SurfaceMaterial:
-    """Returns a material that multiplies a light texture with a colour, so that paints share one texture."""
+    """Returns a material that multiplies a light texture with a colour, so paints share one texture."""
     return SurfaceMaterial(name, colour, texture, tile_m, roughness, tint=colour)
 
 

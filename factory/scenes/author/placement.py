@@ -21,7 +21,7 @@ FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
 
 SMALL_HALF_WIDTH_M = 0.3
 SMALL_STANDOFF_M = 0.30
-"""Distance of the centre of small props from a wall, metres, so that the robot can drive along the wall."""
+"""Distance of the centre of small props from a wall, metres, so the robot can drive along the wall."""
 
 
 class Rectangle(NamedTuple):

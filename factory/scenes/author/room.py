@@ -267,6 +267,6 @@ def high_bay_lamps(plan: FloorPlan, area: Rectangle, height: float, pitch: float
 
 
 def marking(plan: FloorPlan, area: Rectangle, material: SurfaceMaterial) -> None:
-    """Adds a flat floor marking 2 mm above the floor, so that it is not an obstacle."""
+    """Adds a flat floor marking 2 mm above the floor, so it is not an obstacle."""
     strip = open_block((area.x0, area.y0, 0.0), (area.x1, area.y1, 0.002), "T")
     plan.build("SM_Marking", PropPiece(material, strip))

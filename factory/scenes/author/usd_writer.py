@@ -153,7 +153,7 @@ def _write_texture_reader(stage: Any, path: str, file: str, tint: str | None) ->
 
 
 def _write_placement(stage: Any, placement: PropPlacement, number: int, metres_per_unit: float) -> None:
-    """Adds the prop layer as reference, instance or payload in turn, so that tests of importers cover all three."""
+    """Adds the prop layer as reference, instance or payload in turn, so tests of importers cover all three."""
     xform = UsdGeom.Xform.Define(stage, f"/World/Props/{placement.name}")
     place = np.array([placement.x, placement.y, placement.z]) / metres_per_unit
     xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))

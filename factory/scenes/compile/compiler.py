@@ -62,7 +62,8 @@ def compile_stage(
         UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
         WorldError: the file is not a stage, or the stage has no visible mesh, no floor or no reachable target.
     """
-    from factory.scenes.formats import extract_scene  # OpenUSD and readers of other formats, which layouts do not need
+    # imports OpenUSD and readers of other formats, which layouts do not need
+    from factory.scenes.formats import extract_scene
 
     content = extract_scene(path, limits)
     return compile_extraction(path.name, content, name, source, rules, chosen, has_materials=has_materials)
@@ -161,7 +162,7 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
 
 @contextmanager
 def _sizes_in_errors(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
-    """Adds the unit of the scene and the size of its widest prim to an error, so that a wrong unit is visible."""
+    """Adds the unit of the scene and the size of its widest prim to an error, so a wrong unit is visible."""
     try:
         yield
     except WorldError as error:

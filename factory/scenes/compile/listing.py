@@ -38,7 +38,7 @@ def list_targets(
 ) -> tuple[Target, ...]:
     """Returns the candidates that are reachable by any success measure, as targets without colours, in path order.
 
-    The numbers in the names count all candidates of a category, reachable or not, so that a target keeps its name when
+    The numbers in the names count all candidates of a category, reachable or not, so a target keeps its name when
     another candidate becomes reachable.
 
     Args:
@@ -103,7 +103,7 @@ def _target(candidate: Candidate, name: str, instance_id: int, shape: Floats) ->
 
 
 def _rounded(vector: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Rounds to tenths of a millimetre, so that the result does not depend on the machine."""
+    """Rounds to tenths of a millimetre, so the result does not depend on the machine."""
     x, y, z = (round(float(value), 4) for value in vector)
     return (x, y, z)
 

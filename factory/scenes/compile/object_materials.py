@@ -13,7 +13,8 @@ from factory.scenes.importer import Part, Surface
 
 UNKNOWN = "unknown"
 _MOST, _VISIBLE = 0.6, 0.05
-"""Smallest share of the surface of an object that its first material covers, and that each other material covers."""
+"""Smallest share of the surface of an object that a material must cover to be its main material, and to be listed as
+another material."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _SUBSTANCES = MappingProxyType(
     {

@@ -27,14 +27,14 @@ _MOST_BACKS, _STEP_M = 6, np.float32(1e-3)
 """Number of back faces after which a ray is treated as if it had hit a front face, and the distance behind each back
 face at which the ray continues, metres."""
 _SIDES = (0.62, 0.54, 0.57)
-"""Direction that divides the triangles into two sets, so that the two coincident faces of a double-sided wall are in
+"""Direction that divides the triangles into two sets, so the two coincident faces of a double-sided wall are in
 different sets. Rays are cast against each set, because a ray may hit either face first."""
 _OPEN_SHARE = 0.005
 """A stage counts as open if more than this share of the upward rays hit nothing."""
 
 
 def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
-    """Returns the parts with a flat ceiling over their extent, visible from below, or the same parts for `None`.
+    """Returns the parts and a flat ceiling over their extent, visible from below; without a height, only the parts.
 
     Args:
         parts: parts of the stage; parts without a collider are visible.
@@ -50,7 +50,7 @@ def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, .
 
 
 def with_floor(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
-    """Returns the parts with a flat floor below their extent, or the same parts for `None`.
+    """Returns the parts and a flat floor below their extent; without a height, only the parts.
 
     Args:
         parts: parts of the scene; parts without a collider are visible.

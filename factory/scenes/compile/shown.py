@@ -97,7 +97,7 @@ def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | 
     """Returns a texture from the content of the stage or, if it is not there, from a file."""
     if name in extraction.images:
         return extraction.images[name]
-    from factory.scenes.importer.assets import read_asset  # OpenUSD
+    from factory.scenes.importer.assets import read_asset  # imports OpenUSD
 
     return read_asset(name)
 

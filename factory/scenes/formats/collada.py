@@ -114,7 +114,7 @@ def _pieces(reader: _Reader, primitive: Any, material: Any, path: str) -> Iterat
 
 def _faces(primitive: Any) -> tuple[Ints, Ints]:
     """Returns the number of corners of each face (F,), and the vertex of each corner (C,)."""
-    if isinstance(primitive, collada.polylist.Polylist):  # also Polygons
+    if isinstance(primitive, collada.polylist.Polylist):  # `Polygons` is a subclass
         return np.asarray(primitive.vcounts, np.int64), np.asarray(primitive.vertex_index, np.int64).reshape(-1)
     rows = np.asarray(primitive.vertex_index, np.int64).reshape(-1)
     return np.full(len(rows) // 3, 3), rows

@@ -68,7 +68,7 @@ def _read(kind: str, path: Path, files: SceneFiles) -> float:
         read_urdf(path, files)
     elif kind == "MJCF":
         require_package("mujoco", "importing MJCF")
-        from factory.scenes.formats.mjcf.models import read_mjcf  # only now: an optional package
+        from factory.scenes.formats.mjcf.models import read_mjcf  # imports an optional package
 
         read_mjcf(path, files)
     else:

@@ -1,6 +1,6 @@
 """Reads the files of a scene that is not USD: within its folder and the folders of models, up to a size.
 
-Collects missing files, so that one error names all. Does not parse files.
+Collects missing files, so one error names all. Does not parse files.
 """
 
 from __future__ import annotations

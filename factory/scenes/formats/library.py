@@ -1,6 +1,6 @@
 """Finds and reads the files to which a world refers: models and meshes, by path, model:// or package:// name.
 
-Reads each mesh once. Records missing files, so that one error names all of them.
+Reads each mesh once. Records missing files, so one error names all of them.
 """
 
 from __future__ import annotations

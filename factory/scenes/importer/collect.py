@@ -135,9 +135,8 @@ def _placed(piece: Piece, path: str, to_world: Floats, is_collider: bool) -> Par
     rotation, shift = to_world[:3, :3], to_world[:3, 3]
     with np.errstate(all="ignore"):
         exact = piece.triangles @ rotation.T + shift
-        triangles = exact.astype(np.float32).astype(
-            np.float64
-        )  # the last bit depends on the processor: schemas.support.portable
+        # rounded to float32, because the last bit of the product depends on the processor (`schemas.support.portable`)
+        triangles = exact.astype(np.float32).astype(np.float64)
     uvs, tints = piece.uvs, piece.tints
     if not np.isfinite(triangles).all():
         raise ValueError("points or transform are not finite")

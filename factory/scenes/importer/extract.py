@@ -120,9 +120,8 @@ def _pieces(work: _Extractor, placement: PrimPlacement) -> list[Piece]:
         look = _source_path(colour.GetAttr().GetPrim())
     key = (_source_path(prim), look)
     if key not in work.pieces:
-        work.scene.require_room(
-            placement.path, count_triangles(prim)
-        )  # before a mesh that is too large is triangulated
+        # checked here, so a mesh that is too large is not triangulated
+        work.scene.require_room(placement.path, count_triangles(prim))
         mesh = read_mesh(prim, work.scene.notes)
         work.pieces[key] = [] if mesh is None else _cut_pieces(work, prim, mesh)
     return work.pieces[key]

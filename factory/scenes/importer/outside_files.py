@@ -37,7 +37,7 @@ class ReadableFolder:
             notes: list that receives a note for each rejected texture.
         """
         texture = surface.texture
-        climbs = ".." in Path(texture).parts and not Path(texture).is_absolute()  # unresolved
+        climbs = ".." in Path(texture).parts and not Path(texture).is_absolute()  # a resolved path is absolute
         if not texture or (not climbs and (not Path(texture).is_absolute() or self.encloses(texture))):
             return surface
         shown = os.path.relpath(texture, self.root_layer.resolve().parent) if not climbs else texture

@@ -1,6 +1,6 @@
 """Triangulates polygons: a fan for convex faces, ear clipping for concave faces.
 
-Pure functions. Triangles index face corners, so that face-varying values can be mapped. Does not read USD.
+Pure functions. Triangles index face corners, so face-varying values can be mapped. Does not read USD.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Bakes the light map of a scene: ambient occlusion, and lamps with soft shadows. Deterministic.
 
-A coarse pass finds hidden and dark charts, so that the fine pass uses fewer texels for them.
+A coarse pass finds hidden and dark charts, so the fine pass uses fewer texels for them.
 """
 
 from __future__ import annotations

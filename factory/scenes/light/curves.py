@@ -53,7 +53,7 @@ class Bends:
 def corner_normals(triangles: Floats, groups: Ints) -> Floats:
     """Returns (T, 3, 3) corner normals: the mean over the adjacent triangles that are nearly parallel.
 
-    The mean is weighted by area and by corner angle, so that it does not depend on the triangulation.
+    The mean is weighted by area and by corner angle, so it does not depend on the triangulation.
 
     Args:
         triangles: (T, 3, 3) corners, world metres.

@@ -32,7 +32,7 @@ _INDIRECT = 0.7
 """Share of the ambient light that lamps emit and other surfaces reflect; the rest comes from the sky."""
 _CHUNK = 1 << 14
 _OFF_SHARE = 0.03
-"""Share of the sky in the light of the surface of a lamp, so that a lamp that is off is not black."""
+"""Share of the sky in the light of the surface of a lamp, so a lamp that is off is not black."""
 
 
 def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:

@@ -2,7 +2,7 @@
 
 A spot is a position of a texel at which rays start. Texels of flat charts cast few rays from several spots;
 neighbouring texels have different ray patterns, and their light is averaged later. Texels of curved charts cast more
-rays in one pattern, so that the light is smooth over small charts. A spot does not count if it is inside a solid or
+rays in one pattern, so the light is smooth over small charts. A spot does not count if it is inside a solid or
 covered by an object that rests on the surface.
 """
 
@@ -35,7 +35,7 @@ Rays = tuple[int, int]
 
 def _sequence(count: int) -> Floats:
     """Returns low-discrepancy points (PATTERNS, count, 2), 0..1: an R2 (plastic number) sequence, shifted by the points
-    of a Hammersley set, so that the patterns together are evenly distributed too.
+    of a Hammersley set, so the patterns together are evenly distributed too.
     """
     steps = np.arange(1, count + 1)[:, None] * (0.7548776662466927, 0.5698402909980532)
     numbers = np.arange(PATTERNS)

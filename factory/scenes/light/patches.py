@@ -1,6 +1,6 @@
 """Maps the charts of a scene onto unit squares, in which light is stored. Pure functions. Does not find charts.
 
-A chart of one triangle or of two that share an edge is mapped corner by corner, so that its texels are on the surface
+A chart of one triangle or of two that share an edge is mapped corner by corner, so its texels are on the surface
 and the light of neighbouring charts is equal along their common edge. Any other chart is mapped by its bounding
 rectangle.
 """

@@ -1,6 +1,6 @@
 """Tone-maps light to image values: exposure by scene content, soft shoulder, warm and cool white. Pure functions.
 
-The curve applies to the light map alone, so that rendering is one multiplication and cannot overflow.
+The curve applies to the light map alone, so rendering is one multiplication and cannot overflow.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Packs the flat charts of a scene as rectangles of texels into the light map. Pure functions.
 
-The outermost texel centres are on the edges of the chart, so that bilinear sampling does not read other charts and
-needs no padding. Small charts of a curved surface get two texels per side, so that light is continuous across edges.
+The outermost texel centres are on the edges of the chart, so bilinear sampling does not read other charts and
+needs no padding. Small charts of a curved surface get two texels per side, so light is continuous across edges.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def unwrap(
         if size.max() == 1:
             raise TooManyPieces(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
         if (size == floor).all():
-            floor = np.ones_like(floor)  # curved surfaces become faceted
+            floor = np.ones_like(floor)  # curved surfaces with one texel across the curve look faceted
         scale *= 0.9
     chart = charts.of_triangle
     texel = place[chart][:, None] + 0.5 + charts.share * (size[chart] - 1)[:, None]

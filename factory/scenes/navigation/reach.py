@@ -24,7 +24,7 @@ ARRIVAL_RADIUS_M = 0.97
 SEE_RANGE_M = (1.5, 11.0)
 """Minimum and maximum distance of a spawn that counts for a target, metres."""
 MIN_STARTS = 3
-"""Minimum number of valid lattice poses of a tier, so that random sampling finds one."""
+"""Minimum number of valid lattice poses of a tier, so random sampling finds one."""
 _ARRIVAL_SHARES = (1.0, 0.85, 0.7, 0.5, 0.3)
 _BEARINGS, _HEADINGS, _RINGS = 48, 16, 6
 
@@ -70,7 +70,8 @@ def tiers_of(
         rows = np.flatnonzero(_are_reachable(terrain, every))
         reachable = every.chosen(rows)
         straight, connected = _ring_tiers(terrain, reachable)
-        is_far = reachable.distances(spawns) >= FAR_FLOOR_M[0]  # the path along the floor is at least as long
+        # the path along the floor is at least as long as this distance
+        is_far = reachable.distances(spawns) >= FAR_FLOOR_M[0]
         straight[Tier.FAR] = np.asarray(_see(terrain, spawns, reachable, is_far).any(axis=1))
         connected[Tier.FAR] = np.asarray(is_far.any(axis=1))
         for place, row in enumerate(batch[rows].tolist()):

@@ -20,7 +20,7 @@ from workers.geometry.grid import OCCUPIED, Grid
 from workers.planning import geodesic_m
 
 _COARSE = 4
-"""Side of a cell in which two maps are compared, cells of the occupancy grid (0.2 m)."""
+"""Two maps are compared in coarse cells. Side of a coarse cell, in cells of the occupancy grid: 4 x 0.05 m = 0.2 m."""
 _STARTS, _GOALS = 4, 12
 """Largest numbers of starts and targets of a layout between which path lengths are measured."""
 

@@ -1,6 +1,6 @@
 """Computes the footprint of an object: the convex hull of its projection to the floor. Pure functions.
 
-Vertices are rounded to tenths of a millimetre before the hull is computed with integers, so that the result does not
+Vertices are rounded to tenths of a millimetre before the hull is computed with integers, so the result does not
 depend on the machine.
 """
 

@@ -1,6 +1,6 @@
 """Process that draws the figures of a dataset: `python -m factory.web.figures.process DATASET`.
 
-It writes one `Message` on each line of its output. It has a low priority, so that it does not slow a run on the same
+It writes one `Message` on each line of its output. It has a low priority, so it does not slow a run on the same
 machine.
 """
 

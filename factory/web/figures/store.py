@@ -15,7 +15,7 @@ from schemas.support.child import child_environment, python_module
 from schemas.support.closing import Closing
 
 _SHARE = 3
-"""Ratio of the pause after a drawing to its wall time, so that a run on the same machine is not slowed."""
+"""Ratio of the pause after a drawing to its wall time, so a run on the same machine is not slowed."""
 
 
 @dataclass(frozen=True)

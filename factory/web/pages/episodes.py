@@ -97,7 +97,8 @@ def _cells(row: Mapping[str, Any]) -> list[tuple[str, bool]]:
 def _heads(query: TableQuery) -> Iterator[tuple[str, str, str]]:
     """Yields title, link and direction of sorting of each column.
 
-    The link is empty if the table cannot be sorted by the column; the direction, if it is not sorted by it now.
+    The link is empty if the table cannot be sorted by the column. The direction is empty if the table is not sorted
+    by the column.
     """
     for name, title in _SHOWN:
         is_sorted = name == query.sort

@@ -51,7 +51,7 @@ def show(request: Request) -> Response:
 
 
 def mesh(request: Request) -> Response:
-    """Answers with the mesh of a scene; its URL on the page contains a version, so that browsers can cache it."""
+    """Answers with the mesh of a scene; its URL on the page contains a version, so browsers can cache it."""
     package = package_named(context_of(request), request.path_params["name"])
     with _making:  # encoding takes a second; other requests for the same mesh wait
         data = _encode(package)

@@ -215,9 +215,9 @@ class SceneFacts:
         """(N, N) [object, thing]: things close to an object, and clearly farther from all others that have a top."""
         found = below(self.gap, limit.BESIDE_M).both(self._rooms)
         surfaces = np.array([self.graph.kinds.of(each.kind).surface for each in self.graph.objects], bool)
-        others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # [other, thing]
+        others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # (N, N) [other object, thing]
         nearest = np.sort(others, axis=0)[:2] if len(others) > 1 else np.full((2, len(others)), np.inf)
-        # gap of a thing to the nearest other object with a top
+        # gap between a thing and the nearest object with a top, except the object of the row
         second = np.where(others <= nearest[0], nearest[1], nearest[0])
         clear = second >= self.gap + limit.BESIDE_OTHER_M
         level = self._is_level & self.distinct & ~self.support[Relation.ON].possible

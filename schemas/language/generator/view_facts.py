@@ -60,7 +60,8 @@ class ViewFacts:
         depth = offset[..., 0] * axis[:, None, 0] + offset[..., 1] * axis[:, None, 1]
         side = axis[:, None, 0] * offset[..., 1] - axis[:, None, 1] * offset[..., 0]
         close, distinct = self.scene.close, self.scene.distinct[rows]
-        # sure: both are surely visible; possible: the landmark may be visible, and the object may be anywhere near it
+        # `sure`: both objects are surely visible
+        # `possible`: the landmark may be visible, and the object may be anywhere near the landmark
         sure = close.sure[rows] & distinct & view.sure[rows, None] & view.sure & ~self.scene.stacked[rows]
         possible = close.possible[rows] & distinct
         apart = np.abs(view.bearing - view.bearing[rows, None])

@@ -44,7 +44,7 @@ class RawObject:
 
 
 def find_objects(scene: CompiledScene, table: Kinds) -> list[RawObject]:
-    """Returns the objects that have a category, and those whose prim is named like a kind or like something similar.
+    """Returns the objects that have a category, or whose prim name contains the name of a kind or of a similar thing.
 
     Args:
         scene: compiled scene.

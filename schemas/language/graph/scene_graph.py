@@ -116,7 +116,7 @@ class SceneGraph:
 
     @cached_property
     def hangs(self) -> Bools:
-        """(N,) objects that hang on a wall or above a door, so that they are seen from one side only."""
+        """(N,) objects that hang on a wall or above a door, so they are seen from one side only."""
         gaps = np.array([min(each.wall_gap_m, each.high_m[0] - each.low_m[0]) for each in self.objects])
         thin = np.minimum(gaps, (self.high - self.low)[:, 1]) <= TOUCH_M.bad
         return np.asarray(thin & (np.array([each.base_m for each in self.objects]) > TOUCH_M.bad))
@@ -128,8 +128,11 @@ class SceneGraph:
         return find_barriers(self.low[:, :2], self.high[:, :2], self.sight_grid) & is_known
 
     def areas_of_type(self, room: int, kind: str) -> frozenset[int]:
-        """Returns the parts of a room that show its type: parts with an object that defines the type. If the shape of
-        the room defines the type, the only part, or no part of a room with several parts."""
+        """Returns the parts of a room that show its type.
+
+        If objects define the type, these are the parts that contain such an object. Otherwise, the shape of the room
+        defines it: a room with one part returns this part, a room with several parts returns none.
+        """
         areas = frozenset(each.area for each in self.objects if each.room == room)
         shown = self.kinds.rooms[kind].has
         held = frozenset(each.area for each in self.objects if each.room == room and each.kind in shown)

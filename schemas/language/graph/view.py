@@ -22,7 +22,7 @@ _FAR_M = 15.0
 """Distance beyond which lines of sight are not traced, metres; objects in the image are borderline there."""
 _FREE_SHARE = 0.5
 _BEFORE_M = 0.12
-"""Distance before the object at which a line of sight ends, metres, so that the object itself does not block it."""
+"""Distance before the object at which a line of sight ends, metres, so the object itself does not block it."""
 _STEP_CELLS = 1.5
 _TALL_M = 0.6
 """An object is at image height if the image shows half of its height, or this height, metres."""
@@ -93,9 +93,8 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
         sure[near] = (share >= _FREE_SHARE) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
     room, area = graph.room_at(x, y), graph.area_at(x, y)
-    is_facing = ~graph.hangs | (graph.room_of == room) & (
-        room > 0
-    )  # the wall behind an object blocks no line of sight, because the lines end before the object
+    # the wall behind an object blocks no line of sight, because the lines end before the object
+    is_facing = ~graph.hangs | (graph.room_of == room) & (room > 0)
     low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
     middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
     return SceneView(
@@ -130,7 +129,7 @@ def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Fl
     """
     grid = graph.sight_grid
     with np.errstate(divide="ignore", invalid="ignore"):
-        sides = (np.stack((low, high)) - eye)[:, :, None] / ways  # shares at which the lines cross the sides
+        sides = (np.stack((low, high)) - eye)[:, :, None] / ways  # shares of the lines at which they cross the sides
     entered = np.nan_to_num(np.minimum(*sides), nan=0.0).max(axis=-1).clip(0.0, 1.0)
     start = (eye - np.asarray(grid.origin_m)) / grid.resolution_m
     steps = (ways * (entered / grid.resolution_m)[..., None]).astype(np.float32)

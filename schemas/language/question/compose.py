@@ -154,7 +154,8 @@ class _Answers:
                 return None
             named = self._named(int(self._rng.choice(seen)))
             fitting = self._facts.described(named.kind, named.colour).sure & view.sure
-            if not fitting.any():  # a chair that looks like a stool is a borderline case of a chair
+            # the object may be a borderline case of its kind, such as a chair that looks like a stool
+            if not fitting.any():
                 return None
             nearest = min(np.flatnonzero(fitting).tolist(), key=lambda each: float(distance[each]))
             side, metres = side_of(float(view.bearing[nearest])), rounded(float(distance[nearest]))

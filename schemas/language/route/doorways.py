@@ -48,7 +48,7 @@ def find_doorways(graph: SceneGraph) -> tuple[RoomPassage, ...]:
     labels = np.asarray(graph.room_grid.values, np.int64)
     resolution, origin = graph.room_grid.resolution_m, np.asarray(graph.room_grid.origin_m)
     clearance = scipy.ndimage.distance_transform_edt(np.asarray(graph.sight_grid.values) == 0) * resolution
-    passable = clearance > _MARGIN_M  # not the space within hollow walls
+    passable = clearance > _MARGIN_M  # excludes the space within hollow walls
     border = np.zeros(labels.shape, bool)
     for axis in (0, 1):
         one, two = (np.take(labels, range(part, labels.shape[axis] - 1 + part), axis) for part in (0, 1))

@@ -129,7 +129,7 @@ class PoseReplay:
         middle, shown = sum(corners) / len(corners), 0
         points = [middle, *(middle + 0.9 * (corner - middle) for corner in corners)]
         for line in (point - eye for point in points):
-            entered = _entry(eye, line, corners)  # the object itself does not block the line
+            entered = _entry(eye, line, corners)  # after this share, the line is inside the object itself
             if abs(line) > 0 and abs(cmath.phase(line / way)) <= half:
                 free = self._free(eye, line / abs(line), abs(line), blocked=1)
                 shown += free >= min(abs(line), entered * abs(line)) - _OWN_M
@@ -152,7 +152,7 @@ def _entry(eye: complex, line: complex, corners: Sequence[complex]) -> float:
     """Returns the share of a line after which it enters a convex polygon; 1 if it does not enter it."""
     low, high = 0.0, 1.0
     for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
-        inward = (b - a) * 1j  # counter-clockwise polygon
+        inward = (b - a) * 1j  # the corners are in counter-clockwise order
         towards = (line * inward.conjugate()).real
         before = ((a - eye) * inward.conjugate()).real
         if towards > 0:

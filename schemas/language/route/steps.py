@@ -26,7 +26,8 @@ from schemas.language.sentence.grammar import Grammar
 from schemas.support.numpy_types import Bools, Floats
 
 _LATER = frozenset(Family) - {Family.VIEW}
-"""Features that a last step after other steps may use: "as seen from here" would mean the start of the route."""
+"""Features that a last step after other steps may use. `VIEW` is excluded, because "as seen from here" would mean the
+start of the route."""
 _SHORT_M = 0.8
 """Length up to which a straight run belongs to the turn after it, metres."""
 _BEYOND_M = 0.3

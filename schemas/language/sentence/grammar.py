@@ -104,9 +104,9 @@ class Grammar(Model):
     states: dict[Relation, tuple[str, ...]]
     """Adjectives that are synonyms of relations without landmarks."""
     numbers: dict[str, str]
-    """Numbers of objects."""
+    """Number words, for numbers of objects."""
     plurals: dict[Name, tuple[str, ...]]
-    """Nouns of several objects by kind, in the case that relations with a number need."""
+    """Plural nouns by kind, in the grammatical case that relations with a number require."""
     sides: dict[str, tuple[str, ...]]
     """Sides at which counting starts."""
     relations: dict[Relation, tuple[str, ...]]
@@ -212,7 +212,8 @@ class Grammar(Model):
             words["side"] = _nth(self.sides[_side(expression)], choice.get("side", 0)).replace("~", ending)
         spoken = [clause for clause in expression.clauses if not self._adjective(clause, choice)]
         clauses = [self._clause(clause, gender, choice, number) for number, clause in enumerate(spoken)]
-        has_with = any(clause.relation in STATES | COUNTED for clause in spoken)  # "that is with two chairs" is wrong
+        # "that is" cannot precede "with two chairs"
+        has_with = any(clause.relation in STATES | COUNTED for clause in spoken)
         opener = self.opener if len(clauses) > 1 and not has_with else ""
         words |= {"noun": noun, "clauses": opener + self.joiner.join(clauses)}
         return _SPACES.sub(" ", _fill(self.layout, words)).strip()

@@ -51,7 +51,7 @@ def with_mistake(
 
 
 def mistake_fault(text: str, clean: str, kind: MistakeKind, code: str, vocabulary: Collection[str]) -> str:
-    """Returns why a text is not the clean sentence with one error of a kind; empty if it is.
+    """Returns why a text cannot result from one error of a kind in the clean sentence; empty if it can.
 
     Args:
         text: sentence with an error.

@@ -64,7 +64,7 @@ class _KnownWords(NamedTuple):
     content: frozenset[str]
     """Words of referring expressions that are not words of patterns."""
     governed: frozenset[tuple[str, str]]
-    """Cases of slots, each with the word before it."""
+    """Words before slots, each with the grammatical case of its slot."""
 
 
 @cache

@@ -65,7 +65,7 @@ class Verifier:
         Args:
             sentence: the instruction.
             language: reader of its language.
-            view: view at the start; `None` if it is unknown, so that expressions with a relation to it are rejected.
+            view: view at the start; `None` if it is unknown, so expressions with a relation to it are rejected.
             number: number of the target in the scene graph.
         """
         readings = language.read(sentence)

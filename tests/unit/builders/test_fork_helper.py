@@ -182,7 +182,7 @@ def leave_a_helper(path: Path, begins: Callable[[], None]) -> None:
 
 @pytest.mark.parametrize("begins", [begin, begin_with_threads])
 def test_the_helper_ends_with_its_owner(tmp_path, begins):
-    """The owner is killed, so that it cannot end its helper."""
+    """The owner is killed, so it cannot end its helper."""
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=leave_a_helper, args=(tmp_path / "pid", begins))
     process.start()

@@ -1,4 +1,4 @@
-"""Exchangeable targets: objects that could all be the target from a start, so that only the instruction decides."""
+"""Exchangeable targets: objects that could all be the target from a start, so only the instruction decides."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def _program(plan: FloorPlan) -> list[RoomSpec]:
 
 
 def _trim(plan: FloorPlan) -> Trim:
-    """Chooses the trim of the walls at random: most hospitals have a darker dado, many of these a rail for beds."""
+    """Chooses the trim of the walls at random: most hospitals have a darker dado, and many of these a bumper rail."""
     skirting = (painted("Charcoal", 0.5), painted("Grey", 0.5), painted("White", 0.45))[plan.pick(3)]
     frame = (wood("Oak"), wood("Pale"), painted("LightGrey", 0.5), painted("SkyBlue", 0.5), painted("White", 0.45))
     if plan.rng.random() < 0.25:

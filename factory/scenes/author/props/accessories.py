@@ -209,7 +209,7 @@ def tapestry(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def pin_board(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A board with drawings of pupils on a wall."""
+    """A board with pupils' drawings on a wall."""
     half = (0.70, 0.90, 1.10)[variant % 3]
     frame = (wood("Oak"), WHITE, painted("Blue", 0.5))[variant % 3]
     border = block((-half - 0.03, -0.03, 1.02), (half + 0.03, 0.0, 1.98))

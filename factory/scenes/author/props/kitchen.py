@@ -1,6 +1,6 @@
 """Builders for kitchens: fitted units, sinks, ovens, dishwashers, refrigerators, small appliances, islands.
 
-Units are 0.6 m wide and 0.90 m high, so that they form a row. Lengths in metres, origin on the floor, front facing -y.
+Units are 0.6 m wide and 0.90 m high, so they form a row. Lengths in metres, origin on the floor, front facing -y.
 Does not place props.
 """
 

@@ -62,7 +62,7 @@ def desk(variant: int, rng: Generator) -> list[PropPiece]:
     metal = WHITE if board is WHITE else (BLACK, WHITE, STEEL)[variant % 3]
     top = block((-half_x, -half_y, 0.715), (half_x, half_y, 0.745))
     pieces = [PropPiece(board, top), *_end_frames(half_x - 0.05, half_y - 0.05, 0.715, metal)]
-    if variant % 4 < 2:  # slim drawers under the top: 0.62 m above the floor, so that nothing catches a robot
+    if variant % 4 < 2:  # slim drawers under the top: 0.62 m above the floor, so nothing catches a robot
         pieces.append(
             PropPiece(board, block((half_x - 0.5, -half_y + 0.03, 0.63), (half_x - 0.1, half_y - 0.1, 0.715)))
         )

@@ -141,7 +141,7 @@ def stool(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def sofa(variant: int, rng: Generator) -> list[PropPiece]:
-    """A two-seat sofa, at most 1.56 m long, so that the robot can reach its ends."""
+    """A two-seat sofa, at most 1.56 m long, so the robot can reach its ends."""
     cover = LEATHERS[variant % len(LEATHERS)]
     half, arm, height = ((0.78, 0.16, 0.60), (0.72, 0.10, 0.66), (0.76, 0.20, 0.56))[variant % 3]
     depth = 0.40

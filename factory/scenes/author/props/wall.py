@@ -144,7 +144,7 @@ def home_window(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def _outlook(variant: int, low: tuple[float, float], high: tuple[float, float]) -> PropPiece:
-    """A lit pane between two (x, z) corners with a part of a view of the same proportions, so that it is not stretched;
+    """A lit pane between two (x, z) corners with a part of a view of the same proportions, so it is not stretched;
     its horizon is in the lower half of the pane."""
     name = OUTLOOKS[variant % len(OUTLOOKS)]
     (x0, z0), (x1, z1) = low, high

@@ -1,4 +1,4 @@
-"""Recipes of pictures for walls and screens: people, boats, plants, patterns, drawings of pupils.
+"""Recipes of pictures for walls and screens: people, boats, plants, patterns, pupils' drawings.
 
 Each recipe draws a square sRGB image of 512 px from a random generator. Does not read or write files.
 """
@@ -119,7 +119,7 @@ def _cat(rng: Generator) -> Pixels:
 
 
 def _drawings(rng: Generator) -> Pixels:
-    """Sheets with drawings of pupils on a pin board."""
+    """Sheets with pupils' drawings on a pin board."""
     image, draw = _sheet("#b98d5a")
     for row in range(3):
         for column in range(4):

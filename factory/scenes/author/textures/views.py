@@ -170,7 +170,7 @@ def _lake(rng: Generator) -> Pixels:
 
 
 def _offer(_rng: Generator) -> Pixels:
-    """A printed offer: a red disc with a percent sign."""
+    """A poster of a special offer: a red disc with a percent sign."""
     image = Image.new("RGB", (SIZE, SIZE), "#f7d548")
     draw = ImageDraw.Draw(image)
     draw.ellipse((96, 96, 416, 416), fill="#c8281e")

@@ -59,7 +59,7 @@ def read_mjcf(path: Path, files: SceneFiles) -> None:
 
 def _body_paths(model: Any, names: Names) -> dict[int, str]:
     paths = {0: ROOT}
-    for body in range(1, model.nbody):  # parents come first
+    for body in range(1, model.nbody):  # a parent has a smaller number than its children
         paths[body] = names.path(paths[int(model.body_parentid[body])], model.body(body).name, "body")
     return paths
 

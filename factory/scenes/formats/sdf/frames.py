@@ -68,6 +68,6 @@ class Frames:
         if first not in self._known:
             if first not in self._elements:
                 raise ValueError(f"pose relative to {name!r}, which is not a frame of the model")
-            element = self._elements.pop(first)  # so that a circular reference is an error
+            element = self._elements.pop(first)  # removed, so a circular reference is an error
             self._known[first] = self.pose_of(element)
         return self._known[first]

@@ -60,7 +60,7 @@ def place_geometry(library: Library, shape: Element, path: Path, name: str, to_w
     geometry = shape.find("geometry")
     kind = None if geometry is None or not len(geometry) else geometry[0]
     if kind is None or kind.tag == "empty" or (is_collider and kind.tag == "plane"):
-        return  # the floor has no collider
+        return  # a plane is a floor, and the floor has no collider
     surface = None if is_collider else _surface(library, shape, path, name)
     if kind.tag == "mesh":
         mesh = library.locate(text_of(kind, "uri") or text_of(kind, "filename"), path.parent, name)

@@ -201,7 +201,7 @@ def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
 
 
 def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counter):
-    """The host delivers all other episodes, so that it is not barred."""
+    """The host delivers all other episodes, so it is not barred."""
     counter.terms = replace(counter.terms, retry_after_s=1.0)
     started, tries = counter.timed_ledger.now, 0
     while not tries or counter.counts()["failed"] == 0:

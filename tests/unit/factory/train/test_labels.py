@@ -1,4 +1,4 @@
-"""Labels from recorded commands: the start of the stop, and the command at the end of the hold."""
+"""Labels from recorded commands: the frame at which stopping begins, and the command at the end of the hold."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def keys(engine: Engine) -> list[str]:
 
 
 def held_back(writer: Writer) -> threading.Event:
-    """Keeps the writer busy until the event is set, so that later requests share one commit."""
+    """Keeps the writer busy until the event is set, so later requests share one commit."""
     gate = threading.Event()
     writer.submit(lambda _: gate.wait(60))
     return gate

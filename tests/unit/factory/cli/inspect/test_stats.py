@@ -220,7 +220,7 @@ def test_an_empty_dataset_is_reported(tmp_path: Path) -> None:
         write_tables(archive, small_plan(3), {}, [], [], NOW)
     found = measure_dataset(tmp_path / "data")
     assert found.is_sound
-    assert found.remarks[-1].text == "no episodes, so that no means can be computed"
+    assert found.remarks[-1].text == "no episodes, so no means can be computed"
 
 
 def test_missing_episodes_are_omitted_and_named(own: Path) -> None:
