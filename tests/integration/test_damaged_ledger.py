@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import itertools
 import random
+import re
 import shutil
 import sqlite3
 import sys
@@ -105,6 +106,20 @@ def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(damaged_run
                 ledger_trouble(f"sqlite:///{ledger}")
             call(monkeypatch, capsys, damaged_run, next(verbs))
     call(monkeypatch, capsys, damaged_run, TABLES_ONLY)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("UPDATE jobs SET sha256 = NULL WHERE idx = 1", r"an announced job has no bundle \(episode 1\)"),
+        ("UPDATE events SET job_id = 999 WHERE id = 1", r"an event belongs to a job that does not exist \(job 999\)"),
+    ],
+)
+def test_damage_is_reported_with_the_number_of_the_episode_or_job(damaged_run, change, said):
+    with closing(sqlite3.connect(damaged_run / "ledger.db")) as raw:
+        raw.execute(change)
+        raw.commit()
+    assert re.search(said, ledger_trouble(f"sqlite:///{damaged_run / 'ledger.db'}"))
 
 
 def _repair_input(whole: ArchivedRun, damaged_run: Path):  # type: ignore[no-untyped-def]
