@@ -101,7 +101,7 @@ def _log_ended(ended: Sequence[JobRow]) -> None:
 
 
 class FreeSpaceMonitor:
-    """Checks the free space below which no job is leased.
+    """Checks whether enough space is free; if not, no job is leased.
 
     Args:
         reserve_bytes: the minimum free space, bytes.

@@ -92,7 +92,7 @@ class Screening(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Screening | None:
-        """Accepts `free_drive` as another spelling of `foreseen`."""
+        """Accepts `free_drive` as another name of `foreseen`."""
         return cls.FORESEEN if value == "free_drive" else None
 
 

@@ -103,7 +103,7 @@ def test_each_foreign_system_is_imported_in_one_place(system):
     assert not stray
 
 
-def test_only_one_class_defines_how_a_with_block_closes():
+def test_only_two_modules_define_how_a_with_block_ends():
     """`VideoWriter` closes differently after an error; every other context manager inherits `Closing`."""
     writers = {str(path.relative_to(ROOT)) for path in sources() if "def __exit__" in path.read_text()}
     assert writers == {"schemas/support/closing.py", "factory/export/video.py"}

@@ -59,7 +59,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Returns the paths of the stored episodes by number, ascending. Does not read their contents."""
 
     def unpacked(self) -> Mapping[int, Place]:
-        """Returns the paths of the episodes that are not packed by number, ascending."""
+        """Returns the paths of the unpacked episodes by episode number, ascending."""
 
     def foreign(self) -> Sequence[Place]:
         """Returns the paths in the episode folder that are neither episodes nor shards."""

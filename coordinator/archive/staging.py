@@ -199,7 +199,7 @@ def _take(descriptor: int, kind: int) -> bool:
 def _take_exclusive(descriptor: int) -> bool:
     """Takes the exclusive lock of a coordinator; returns `False` if another coordinator holds it.
 
-    If a shared lock is available, only callers of `is_held` hold the lock, each briefly.
+    If a shared lock can be taken, only callers of `is_held` hold locks, each for a moment; then it tries again.
     """
     while not _take(descriptor, fcntl.LOCK_EX):
         if not _take(descriptor, fcntl.LOCK_SH):

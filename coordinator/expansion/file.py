@@ -109,7 +109,7 @@ def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
 
 
 def with_rig(plan: Plan, rig: Rig | None) -> Plan:
-    """Returns the plan with another rig; with no rig for the rig `paper`, whose only sensor is recorded anyway.
+    """Returns the plan with another rig. The rig `paper` becomes `None`, because its only sensor is recorded anyway.
 
     Raises:
         InvalidRig: the rates of the rig do not fit the plan, or an episode would have too many measurements.

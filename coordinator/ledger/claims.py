@@ -180,7 +180,7 @@ def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> 
 def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
     """Restarts every lease after a restart of the coordinator, or after the clock was set.
 
-    The function also ends the pause of a job that would end far in the future.
+    The function also ends pauses of jobs that would last until far in the future.
 
     Returns:
         The number of leases.

@@ -101,7 +101,7 @@ class Fetcher:
         meters: counters of the coordinator.
         find_local_bundle: function that finds a bundle on this machine.
         refusals: reports bundles that no worker serves, or too slowly.
-        has_others: function of a host, which returns whether bundles of other hosts wait.
+        has_others: function that takes a host and returns whether bundles of other hosts wait.
         stop: event that ends transfers at the next chunk.
     """
 

@@ -28,8 +28,8 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import Repeated
 
 _QUEUED = 2
-"""Number of bundles of one host for each puller, waiting or in transfer, from which on the host is busy: a gateway then
-requests no more bundles of it."""
+"""A host with this many bundles for each puller, waiting or in transfer, is busy: a gateway then requests no more of
+its bundles."""
 
 if TYPE_CHECKING:
     from coordinator.transfer.layouts import LayoutStore

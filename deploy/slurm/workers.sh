@@ -59,7 +59,7 @@ run_task() {
         scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
         exit $?
     fi
-    # another task generates the jobs of bundles that were not fetched
+    # bundles that were not fetched are deleted, too; other tasks simulate their jobs again
     rm -rf -- "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID:-0}"
     exit "${status}"
 }

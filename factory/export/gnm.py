@@ -34,8 +34,9 @@ _TEST_SPLITS = frozenset(split for split in Split if split not in (Split.TRAIN_I
 _CARD = """
 - `{name}/ep_000001/0.jpg, 1.jpg, ...` and `traj_data.pkl`: `position` (T, 2) metres and `yaw` (T,) radians of base_link
   in the world frame, float64. Row i is where frame i was taken.
-- `data_splits/{name}/train/traj_names.txt`: the episodes of `train_id`; `test/`: those of `val_id`, the loaders'
-  only other list, or of the test splits where there are none; beside them one folder for every split of the dataset.
+- `data_splits/{name}/train/traj_names.txt`: the episodes of `train_id`; `test/`: those of `val_id`, or those of
+  the test splits if the dataset has no `val_id` episodes. The loaders read only these two lists. Every split has a
+  folder.
 - `data_config.yaml`: the entry to paste into `vint_train/data/data_config.yaml`.
 
 In the training configuration:

@@ -142,7 +142,7 @@ class FrameStore:
         return self._prepared is not None
 
     def prepare(self, keys: Sequence[FrameKey]) -> None:
-        """Renders images in the background, one after another, so the renderer and their scenes are prepared.
+        """Renders images in the background, one after another, so the renderer and the scenes are prepared.
 
         Does nothing while an earlier call runs, and for episodes that store frames. Ignores errors; a later request for
         the image reports them.

@@ -102,7 +102,7 @@ def start_view_findings(
     if target in shown:
         others = sorted(shown.intersection(view.other_referents))
         if others:
-            found.append(f"objects {others} are in view, which the instruction fits as well")
+            found.append(f"objects {others} are in view, and the instruction fits them as well")
         same = shown.intersection(view.same_category)
         if len(same) < view.least_same_category:
             least = view.least_same_category

@@ -105,7 +105,7 @@ def sid_of_alive_key(key: str) -> str:
 
 
 def sid_belongs_to(sid: str, host: str) -> bool:
-    """Returns whether a session id belongs to a host: it is `HOST`, or `HOST.` and a suffix for each start.
+    """Returns whether a session id belongs to a host: it is `HOST`, or `HOST.` and a suffix that is new at each start.
 
     A host name has no dot, so a session id belongs to one host only.
     """

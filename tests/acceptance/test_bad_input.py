@@ -14,7 +14,7 @@ from tests.builders.fork_server import ForkServer
 from tests.builders.ports import free_endpoint
 
 
-def test_an_unknown_plan_names_the_known_ones(factory, tmp_path):
+def test_the_error_of_an_unknown_plan_lists_the_known_plans(factory, tmp_path):
     err = factory("run", "nonsense", "--out", tmp_path / "x", expect=2).stderr
     assert "demo, paper, balanced" in err
     assert not (tmp_path / "x").exists()
@@ -29,14 +29,14 @@ def test_an_unknown_plan_names_the_known_ones(factory, tmp_path):
         ('[tiers]\nnear = 0.3\n[[scenes]]\nname = "office"\nepisodes = 1\n', ["tiers", "add up to 0.3"]),
     ],
 )
-def test_a_bad_plan_is_refused_by_its_keys(factory, tmp_path, text, words):
+def test_the_error_of_an_invalid_plan_names_the_wrong_keys(factory, tmp_path, text, words):
     plan = tmp_path / "bad.toml"
     plan.write_text(text)
     err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
     assert all(word in err for word in words), err
 
 
-def test_an_unknown_scene_option_names_the_scenes_of_the_plan(factory, tmp_path):
+def test_the_error_of_an_unknown_scene_lists_the_scenes_of_the_plan(factory, tmp_path):
     err = factory("run", "demo", "--scene", "garage", "--out", tmp_path / "x", expect=2).stderr
     assert "office" in err
 
@@ -108,7 +108,7 @@ def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, refe
     assert first.wait(60) == 0
 
 
-def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, reference, tmp_path):
+def test_a_dataset_of_a_newer_format_is_refused_with_the_format_number(factory, reference, tmp_path):
     root = tmp_path / "newer"
     shutil.copytree(reference, root)
     meta = json.loads((root / "dataset_meta.json").read_text())
@@ -133,7 +133,7 @@ def test_truncated_and_foreign_files_among_the_episodes_are_found_and_repaired(f
     assert len(list((root / "quarantine").glob("ep_*"))) >= 2
 
 
-def test_a_missing_episode_is_answered_with_the_existing_ones(factory, reference):
+def test_the_error_of_a_missing_episode_states_the_number_of_episodes(factory, reference):
     assert "which has 5 episodes" in factory("replay", reference, 77, expect=2).stderr
     assert "is not a dataset" in factory("replay", reference.parent, 1, expect=2).stderr
 
@@ -153,7 +153,7 @@ def test_a_scene_without_the_targets_of_the_plan_is_refused_before_simulation(fa
     assert not (tmp_path / "x").exists()
 
 
-def test_an_unknown_expert_is_refused_with_the_known_ones(factory, tmp_path):
+def test_an_unknown_expert_is_refused_with_the_known_experts(factory, tmp_path):
     err = factory("run", "demo", "--expert", "wizard", "--out", tmp_path / "x", expect=2).stderr
     assert "planner" in err
     assert not (tmp_path / "x").exists()

@@ -124,7 +124,7 @@ def test_a_token_is_not_sent_unencrypted_to_another_machine(push, dataset):
     assert "https://" in done.stderr
 
 
-def test_a_wrong_repository_name_is_wrong_usage(push, dataset):
+def test_a_wrong_repository_name_is_a_usage_error(push, dataset):
     done = push(dataset, "office", "--dry-run")
     assert done.returncode == 2
     assert "OWNER/NAME" in done.stderr

@@ -38,7 +38,7 @@ def test_damage_sets_the_exit_code_and_a_nonempty_folder_is_refused(factory, ref
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
 
-def test_without_matplotlib_the_remedy_is_named(reference, tmp_path):
+def test_a_report_without_matplotlib_is_refused_with_the_install_command(reference, tmp_path):
     code = "import sys; sys.modules['matplotlib'] = None; from factory.cli.main import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "report", str(reference), "-o", str(tmp_path / "out")],

@@ -1,4 +1,4 @@
-"""The web page of `factory run --http`: a browser watches a run until it ends; a benchmark measures its visitors."""
+"""The web page of `factory run --http`: a browser watches a run until it ends; a benchmark measures its cost."""
 
 from __future__ import annotations
 

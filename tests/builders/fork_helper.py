@@ -1,4 +1,5 @@
-"""Replaces the Python processes that a tested process starts by forks, because a new interpreter imports for a second.
+"""Replaces the Python processes that a tested process starts by forks, because the imports of a new interpreter take
+a second.
 
 A helper process makes the forks. It is a child of the tested process (the owner): either a copy of the owner, made
 before the owner starts threads, or a new interpreter. The parent of each fork is the owner and not the helper, so

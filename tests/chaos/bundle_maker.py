@@ -1,4 +1,4 @@
-"""Builds the bundles for the processes of `light_simulation` in one process. A bundle depends only on its order."""
+"""Builds the bundles for the processes of `light_simulation` in one process. Equal orders give equal bundles."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_a_wire_is_cut_only_while_a_peer_is_connected():
 
 
 @pytest.mark.parametrize(("answer", "effects"), [(b"x" * 100, 1), (b"\x01\x00\x04", 0)])
-def test_lost_answers_count_and_lost_keep_alives_do_not(answer: bytes, effects: int):
+def test_lost_answers_are_effects_of_a_fault_and_lost_keep_alives_are_not(answer: bytes, effects: int):
     with _Echo() as echo:
         near, far = echo.connect()
         with near, far:

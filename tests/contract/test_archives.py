@@ -171,7 +171,7 @@ def test_quarantined_file_is_kept_with_its_reason(kind: Kind) -> None:
         assert archive.present() == {}
 
 
-def test_same_name_is_quarantined_twice_without_loss(kind: Kind) -> None:
+def test_two_episodes_of_the_same_name_are_both_kept_in_quarantine(kind: Kind) -> None:
     with kind.open() as archive:
         places = [archive.quarantine(publish(archive, 1, data), "torn") for data in (b"one", b"two")]
         assert [place.read_bytes() for place in places] == [b"one", b"two"]
@@ -271,7 +271,7 @@ def test_table_is_replaced_whole_or_not_at_all(kind: Kind) -> None:
         assert parts_of(kind) == []
 
 
-def test_a_second_coordinator_gets_the_holder_of_the_lock(kind: Kind) -> None:
+def test_the_error_of_a_second_coordinator_names_the_holder_of_the_lock(kind: Kind) -> None:
     with kind.open():
         other = kind.run("")
     assert other.returncode == 1
@@ -287,7 +287,7 @@ def test_the_lock_is_released_when_its_holder_is_killed(kind: Kind) -> None:
         pass
 
 
-def test_episode_whose_writer_was_killed_after_publishing_is_there_whole(kind: Kind) -> None:
+def test_episode_whose_writer_was_killed_after_publishing_is_stored_completely(kind: Kind) -> None:
     killed = kind.run(
         "staged = archive.stage(7); staged.write(b'x' * 100_000); archive.publish(staged, 7);"
         "other = archive.stage(8); other.write(b'half'); import os; os.kill(os.getpid(), 9)"
@@ -298,7 +298,7 @@ def test_episode_whose_writer_was_killed_after_publishing_is_there_whole(kind: K
         assert parts_of(kind) == []
 
 
-def test_free_space_is_that_of_the_disk_where_part_files_grow(kind: Kind) -> None:
+def test_free_space_is_that_of_the_disk_to_which_part_files_are_written(kind: Kind) -> None:
     with kind.open() as archive:
         status = os.statvfs(kind.home)
         assert 0 < archive.free_bytes() <= status.f_blocks * status.f_frsize

@@ -149,7 +149,7 @@ def test_full_disk_and_kill_leave_only_whole_files(
 
 
 @every_format
-def test_disk_without_room_keeps_only_whole_files(
+def test_an_export_to_a_full_disk_leaves_only_complete_files(
     dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
     whole = contents(reference[name])
@@ -228,14 +228,18 @@ def test_export_of_another_dataset_is_refused(
 
 
 @every_format
-def test_other_episodes_of_the_dataset_are_refused(dataset: Path, reference: dict[str, Path], name: str) -> None:
+def test_an_export_of_other_episodes_into_the_same_folder_is_refused(
+    dataset: Path, reference: dict[str, Path], name: str
+) -> None:
     wanted = order(dataset, reference[name], name)
     with pytest.raises(WorldError, match="contains another export: episodes 3 of all splits"):
         run_export(ExportOrder(dataset, reference[name], name, wanted.options, episodes=("ep_000002",)))
 
 
 @every_format
-def test_another_format_is_refused(dataset: Path, reference: dict[str, Path], name: str) -> None:
+def test_an_export_in_another_format_into_the_same_folder_is_refused(
+    dataset: Path, reference: dict[str, Path], name: str
+) -> None:
     other = next(other for other in EXPORTERS if other != name)
     with pytest.raises(WorldError, match=f"format {name}, requested {other}"):
         run_export(order(dataset, reference[name], other))

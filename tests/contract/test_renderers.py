@@ -68,7 +68,7 @@ def test_a_wall_has_its_known_depth_everywhere(renderer: Renderer) -> None:
     assert (frame.rgb == RED).all()
 
 
-def test_a_box_on_the_left_appears_left_and_one_above_appears_above(renderer: Renderer) -> None:
+def test_boxes_at_the_upper_left_and_lower_right_appear_at_the_upper_left_and_lower_right(renderer: Renderer) -> None:
     frame = look(renderer, Box((3, 0.5, 1.0), (4, 1.5, 2.0), RED), Box((3, -1.5, -1.0), (4, -0.5, -0.2), BLUE))
     rows, columns = np.nonzero(frame.ids == 1)
     assert (rows.max() < 320, columns.max() < 320) == (True, True)
@@ -174,7 +174,7 @@ def test_surfaces_beyond_the_clip_range_are_not_rendered(renderer: Renderer) -> 
     assert frame.depth.max() <= CAMERA.far_m
 
 
-def test_a_surface_across_the_far_plane_ends_before_it(renderer: Renderer) -> None:
+def test_a_surface_across_the_far_plane_is_cut_at_this_plane(renderer: Renderer) -> None:
     renderer.load(build_scene([wall(CAMERA.x_m + CAMERA.far_m)]), CAMERA)
     for yaw_rad in (-2e-4, -1e-4, 1e-4, 2e-4):  # the wall crosses the far plane within the image
         depth = renderer.render(Pose.planar(0.0, 0.0, yaw_rad)).depth
@@ -237,7 +237,7 @@ def test_baked_light_multiplies_the_colour(renderer: Renderer) -> None:
 
 
 @pytest.mark.gl
-def test_light_is_read_from_the_first_row_down_and_between_texels() -> None:
+def test_the_light_map_starts_with_its_first_row_and_is_interpolated_between_texels() -> None:
     scene = build_scene([wall(3.0)])
     light = np.array([[[0] * 3, [100] * 3], [[200] * 3, [200] * 3]], np.uint8)
     seen = []
@@ -257,7 +257,7 @@ def test_the_same_pose_gives_the_same_bytes(renderer: Renderer) -> None:
     assert digest(renderer.render(pose)) == first
 
 
-def test_frames_belong_to_the_caller(renderer: Renderer) -> None:
+def test_a_returned_frame_is_not_changed_by_the_next_rendering(renderer: Renderer) -> None:
     renderer.load(box_room(), CAMERA)
     first = renderer.render(ORIGIN)
     before = digest(first)
@@ -278,7 +278,7 @@ def test_a_frame_of_any_size_has_the_same_field_of_view(renderer: Renderer, size
     assert (np.abs(frame.depth - whole.depth[rows_columns]) <= 0.05 + 0.02 * frame.depth)[inner].mean() >= 0.99
 
 
-def test_a_frame_of_another_size_leaves_the_next_one_as_it_is(renderer: Renderer) -> None:
+def test_a_frame_of_another_size_does_not_change_the_next_frame(renderer: Renderer) -> None:
     renderer.load(furnished_room(), CAMERA)
     first, depth_and_ids = digest(renderer.render(ORIGIN)), renderer.render_depth_and_ids(ORIGIN)
     small = digest(renderer.render(ORIGIN, 64))
@@ -437,7 +437,7 @@ def test_a_depth_and_id_frame_requires_a_scene(new_renderer: Renderer) -> None:
         new_renderer.render_depth_and_ids(ORIGIN)
 
 
-def test_frames_after_room_was_made_are_those_of_a_new_renderer(renderer: Renderer) -> None:
+def test_frames_are_equal_after_prepared_scenes_were_freed(renderer: Renderer) -> None:
     scene = furnished_room()
     renderer.load(scene, CAMERA)
     first = renderer.render(ORIGIN)

@@ -141,7 +141,7 @@ def test_tiny_renderer_refuses_normals():
 
 
 @pytest.mark.gl
-def test_opencv_undistorts_our_distorted_image_to_the_undistorted_one(gl: Renderer):
+def test_opencv_undistorts_a_distorted_image_to_that_of_a_camera_without_distortion(gl: Renderer):
     straight = mounted(PinholeCamera(name="straight", model="pinhole", width=320, height=240, fov_deg=80))
     bent = straight.model_copy(update={"distortion": (-0.15, 0.03, 0.002, -0.001, 0.0)})
     gl.load(closed_room(), CameraConfig())

@@ -116,7 +116,7 @@ def test_layouts_of_a_family_differ_in_rooms_doors_and_finishes(name: str, layou
 
 
 @pytest.mark.parametrize("seed", [12, 16, 20, 23, 32])
-def test_a_home_that_lacks_room_at_first_has_every_category(seed: int) -> None:
+def test_a_home_whose_first_layout_lacks_space_has_every_category_after_a_retry(seed: int) -> None:
     """These homes get a bed, a wardrobe, a washing machine or a division into rooms only after a retry."""
     plan = lay_out_scene(BUILTIN_SCENES["home"], seed)
     rules = [RULES.match(re.sub(r"_\d+$", "", placement.name)) for placement in plan.placements]

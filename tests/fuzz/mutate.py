@@ -43,7 +43,7 @@ _MOST_BYTES = 1 << 20
 
 
 def mutate(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Returns a file with one to six damages."""
+    """Returns a file that is damaged in one to six ways."""
     for _ in range(rng.randint(1, 6)):
         data = rng.choice(_DAMAGES)(rng, data, others)
     return data[:_MOST_BYTES]

@@ -125,7 +125,7 @@ def test_sensors_of_a_rig_see_the_appearance(recordings: Recordings) -> None:
     assert image.rgb.tobytes() != clean.rgb(0).tobytes()
 
 
-def test_stored_frames_have_no_other_appearance(recordings: Recordings) -> None:
+def test_another_appearance_of_stored_frames_is_refused(recordings: Recordings) -> None:
     with pytest.raises(UsageError, match=r"stores frames, whose appearance is fixed: give a dataset of .*states"):
         Dataset(recordings[Recording.FRAMES], appearance="varied")
 

@@ -172,7 +172,9 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4
 
 
-def test_deliveries_are_counted_by_who_has_validated_them(tmp_path: Path) -> None:
+def test_the_delivery_benchmark_counts_centrally_validated_bundles_for_each_share_of_spot_checks(
+    tmp_path: Path,
+) -> None:
     plan, catalog, folder, told = room_plan(1), room_catalog(tmp_path), tmp_path / "bench", list[int]()
     sample = _archived_sample(tmp_path / "sample", first_attempts(plan, catalog, "room")[0])
     folder.mkdir()

@@ -33,7 +33,7 @@ def rewritten(root: Path, timed_ledger: TimedLedger) -> dict[str, bytes]:
     return read(root)
 
 
-def test_a_checkpoint_of_the_changes_has_the_bytes_of_a_rewritten_one(tmp_path: Path) -> None:
+def test_a_checkpoint_of_the_changes_has_the_bytes_of_completely_rewritten_tables(tmp_path: Path) -> None:
     timed_ledger = TimedLedger(room_plan(2 * GROUP_ROWS + 10, attempts_per_draw=2, draws=3))
     scatter(timed_ledger)
     with open_archive(tmp_path / "data") as archive:

@@ -76,7 +76,9 @@ def test_a_path_that_ends_without_the_target_in_view_fails_before_the_drive(tmp_
     assert "without whiteboard_6 in view" in outcome.detail
 
 
-def test_an_attempt_without_the_requirement_records_that_the_target_is_out_of_view(tmp_path: Path) -> None:
+def test_an_attempt_that_is_not_required_to_show_the_target_records_that_the_target_is_out_of_view(
+    tmp_path: Path,
+) -> None:
     scene = build_scene((*ROOM, BOARD))
     job = planner_job(scene, demonstration=DemonstrationConfig())
     outcome, out = attempted(scene, job, tmp_path)

@@ -73,7 +73,7 @@ def _episode(stage: SceneRenderer, share: float) -> tuple[Job, BundleReader]:
     return first_success((_job(attempt, share) for attempt in range(1, 12)), stage)
 
 
-def test_the_same_start_has_either_target_and_shows_both(stage, package):
+def test_two_jobs_with_the_same_start_view_have_different_targets(stage, package):
     (low_job, low), (high_job, high) = _episode(stage, 0.1), _episode(stage, 0.9)
     with low, high:
         assert low.meta.rollout.spawn_pose == high.meta.rollout.spawn_pose
@@ -96,7 +96,7 @@ def test_the_recorded_job_gives_the_same_episode_again(stage):
             assert other.meta.content_digest == bundle.meta.content_digest
 
 
-def test_an_episode_with_another_target_or_other_choices_is_refused(stage):
+def test_an_episode_with_another_target_or_with_other_candidates_is_refused(stage):
     job, bundle = _episode(stage, 0.9)
     with bundle:
         meta, first = bundle.meta, SCENE.info.targets[0]
@@ -129,7 +129,7 @@ def test_an_episode_with_another_target_or_other_choices_is_refused(stage):
         assert "the job permits" in "\n".join(validate(bundle, job)), "without the scene"
 
 
-def test_choices_of_a_job_whose_plan_names_the_target_are_refused(stage):
+def test_recorded_candidates_are_refused_if_the_plan_names_the_target(stage):
     job, bundle = _episode(stage, 0.1)
     with bundle:
         plain = job.model_copy(update={"start_view": None})

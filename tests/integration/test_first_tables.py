@@ -43,7 +43,7 @@ def failures_in_tables(folder: Path) -> int:
     return read_dataset_meta(folder / "out").failed_attempts
 
 
-def test_the_first_tables_follow_the_first_episode_and_later_ones_the_interval(tmp_path, checker):
+def test_the_first_tables_are_written_after_the_first_episode_and_later_tables_at_the_interval(tmp_path, checker):
     with opened(tmp_path, checker) as coordinator:
         assert number_in_tables(tmp_path) == 0
         deliver_one(coordinator)

@@ -267,7 +267,7 @@ def test_texts_in_shared_memory_that_is_not_copied_are_current(drives: Dataset, 
 
 
 @pytest.mark.timeout(120)
-def test_using_an_environment_after_a_fork_names_the_alternatives(env: MiniVLANavEnv) -> None:
+def test_the_error_of_an_environment_used_after_a_fork_names_the_alternatives(env: MiniVLANavEnv) -> None:
     env.reset(seed=0)
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)

@@ -151,7 +151,7 @@ def test_a_host_has_a_bounded_number_of_sessions(hub, peer):
         assert isinstance(other.hello(mine), HelloReply)
 
 
-def test_a_token_is_refused_from_another_host(hub, peer):
+def test_a_lease_token_is_refused_if_another_host_sends_it(hub, peer):
     job, lease = peer.job()
     with WireWorker(hub.endpoints, hub.run, "thief") as thief:
         assert not thief.fail(lease, FailReason.RELEASED)

@@ -38,7 +38,7 @@ def idle(node: ZenohNode, stack: ExitStack) -> socket.socket:
     return stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=SOON_S))
 
 
-def test_a_client_connects_beside_many_that_stay_silent() -> None:
+def test_a_client_can_connect_while_many_other_connections_are_idle() -> None:
     if resource.getrlimit(resource.RLIMIT_NOFILE)[1] < 2 * IDLE + 500:
         pytest.skip("the limit of open files is too low for so many connections")
     with listening("tcp") as node, ExitStack() as stack:

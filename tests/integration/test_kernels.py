@@ -38,7 +38,7 @@ def computed(choice: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("choice", CHOICES)
-def test_other_kernels_give_the_same_bytes(choice: str) -> None:
+def test_the_kernels_of_other_processors_give_the_same_bytes(choice: str) -> None:
     needed = NEEDS.get(CHOICES[choice].get("OPENBLAS_CORETYPE", ""))
     if needed and not processor_has(needed):
         pytest.skip(f"this processor has no {needed}")

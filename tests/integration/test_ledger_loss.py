@@ -149,7 +149,7 @@ def test_failed_attempts_and_abandoned_draws_are_restored_at_a_start_without_a_l
     assert ledger_trouble(run.url, run.catalog) == ""
 
 
-def test_attempts_of_another_run_do_not_move_an_episode(tmp_path):
+def test_an_attempt_log_of_another_run_changes_no_draw_and_no_attempt_number(tmp_path):
     run = ArchivedRun(tmp_path / "out", planned=2, done=0)
     other = ArchivedRun(tmp_path / "other", planned=3, done=0, misses=3)
     table = pq.read_table(other.root / "attempts.parquet")
@@ -170,7 +170,7 @@ def test_a_damaged_episode_is_simulated_again_and_intact_ones_are_kept(run):
     assert [name[:13] for name in quarantined(run)] == ["ep_000002.zip"]
 
 
-def test_an_episode_whose_recorded_size_is_wrong_stays_when_its_file_is_whole(run):
+def test_an_intact_episode_file_is_kept_if_its_recorded_size_is_wrong(run):
     files = run.digests()
     with closing(sqlite3.connect(ledger(run))) as raw:
         raw.execute("UPDATE episodes SET size = size + 1, summary = json_set(summary, '$.file_bytes', size + 1)")
@@ -213,7 +213,7 @@ def test_a_ledger_of_another_plan_is_named_at_the_start_and_set_aside_by_repair(
     assert plan_of(site) == run.plan
 
 
-def test_the_episodes_decide_between_the_plans_of_ledger_and_description(tmp_path):
+def test_the_plan_of_the_episodes_is_used_if_ledger_and_description_have_different_plans(tmp_path):
     plan = make_dataset(tmp_path / "out")
     (package,) = (tmp_path / "out" / "scenes").iterdir()
     engine = open_writer(sqlite_url(tmp_path / "out" / "ledger.db"))

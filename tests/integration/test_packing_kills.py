@@ -124,7 +124,7 @@ def test_a_packing_killed_at_any_step_loses_and_duplicates_nothing(files: Path, 
     assert len(shards) == 1
 
 
-def test_a_start_after_a_kill_that_is_killed_itself_loses_and_duplicates_nothing(
+def test_a_restart_after_a_kill_loses_and_duplicates_nothing_if_the_restart_is_killed_too(
     files: Path, packed: Path, tmp_path: Path
 ) -> None:
     for number in EPISODES:

@@ -113,7 +113,7 @@ def test_far_starts_of_the_planner_may_be_behind_walls_within_the_distance_limit
     assert any(not place.grid.has_sight((start.x, start.y), target) for start in starts)
 
 
-def test_a_planner_that_must_show_the_target_stops_with_it_ahead():
+def test_a_planner_that_must_show_the_target_stops_with_the_target_ahead():
     scene = box_room([WALL])
     job = planner_job(scene, demonstration=DemonstrationConfig(target_in_view=True))
     done = drive_from(scene, (-1.0, 0.0, 2.8), demonstration=job.demonstration)
@@ -123,7 +123,7 @@ def test_a_planner_that_must_show_the_target_stops_with_it_ahead():
     assert abs(np.remainder(bearing - float(yaw_of(done.arrays.poses)[-1]) + np.pi, 2 * np.pi) - np.pi) < 0.7
 
 
-def test_a_drive_by_surface_stops_a_metre_from_the_footprint():
+def test_a_drive_with_the_surface_measure_stops_within_a_metre_of_the_footprint():
     scene = box_room([Box((-1.0, -2.6, 0.0), (3.0, -0.6, 0.7), category="table")])
     table = next(target for target in scene.info.targets if target.category == "table")
     task = TaskConfig(success=SuccessMeasure.SURFACE)

@@ -115,7 +115,7 @@ def test_a_bundle_damaged_in_transfer_is_refused(opened, worker):
     until(lambda: opened.progress().attempts == {"invalid": 1})
 
 
-def test_a_worker_that_does_not_serve_is_asked_again_after_its_next_heartbeat(opened, worker):
+def test_a_bundle_that_its_worker_does_not_serve_is_requested_again_after_the_next_heartbeat(opened, worker):
     job, lease = worker.job()
     worker.is_frozen = True
     worker.deliver(lease, bundle_for(job))
@@ -128,7 +128,7 @@ def test_a_worker_that_does_not_serve_is_asked_again_after_its_next_heartbeat(op
     until(is_archived)
 
 
-def test_a_silent_worker_loses_its_job_to_another_and_its_late_result_is_refused(tmp_path):
+def test_a_silent_worker_loses_its_job_to_another_worker_and_its_late_result_is_refused(tmp_path):
     short = settings(lease_ttl_s=0.3, sweep_s=0.05)
     with (
         Coordinator(
@@ -146,7 +146,7 @@ def test_a_silent_worker_loses_its_job_to_another_and_its_late_result_is_refused
         assert lease.fence > stale.fence
 
 
-def test_a_world_failure_starts_the_next_attempt_and_a_repeated_report_has_no_effect(worker):
+def test_a_task_failure_starts_the_next_attempt_and_a_repeated_report_has_no_effect(worker):
     job, lease = worker.job()
     assert worker.fail(lease, FailReason.TIMEOUT)
     assert worker.fail(lease, FailReason.TIMEOUT)
@@ -208,7 +208,7 @@ def test_no_jobs_are_leased_while_the_disk_is_full(tmp_path):
         assert not reply.finished
 
 
-def test_drain_ends_the_workers_and_leases_no_jobs(opened, worker):
+def test_a_draining_coordinator_requests_its_workers_to_drain_and_leases_no_job(opened, worker):
     assert worker.ask(Verb.ADMIN, AdminRequest(action=AdminAction.DRAIN), AdminReply) == AdminReply(changed=())
     assert worker.beat().drain
     assert worker.claim().job is None
@@ -263,13 +263,13 @@ def test_a_heartbeat_reply_lists_bundles_that_need_no_further_announcement(worke
     assert (reply.waiting, reply.drop) == ((lease,), ())
 
 
-def test_a_heartbeat_with_unknown_leases_loses_all_of_them(worker):
+def test_a_heartbeat_reply_lists_the_bundles_of_unknown_leases_to_be_dropped(worker):
     _, lease = worker.job()
     stale = lease.model_copy(update={"fence": lease.fence + 1})
     assert worker.ask(Verb.BEAT, Beat(sid=worker.sid, spool=(stale, lease)), BeatReply) == BeatReply(drop=(stale,))
 
 
-def test_anyone_can_ask_for_progress_without_knowing_the_run(opened):
+def test_any_client_can_request_the_progress_without_the_name_of_the_run(opened):
     assert ask_progress(opened.endpoints).run == opened.run
 
 
@@ -297,7 +297,7 @@ def test_a_taken_endpoint_is_named_with_the_remedy(opened, tmp_path):
         )
 
 
-def test_a_directory_of_another_plan_is_refused_naming_both(tmp_path):
+def test_a_directory_of_another_plan_is_refused_with_the_names_of_both_runs(tmp_path):
     catalog, out = room_catalog(tmp_path), tmp_path / "out"
     with Coordinator(out, room_plan(1), catalog, CoordinatorOptions(listen=ANY_PORT)):
         pass

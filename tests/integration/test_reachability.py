@@ -131,7 +131,7 @@ def test_a_worker_that_starts_after_the_end_of_the_run_ends_at_once(tmp_path):
         assert worker.join() == 0
 
 
-def test_a_worker_that_missed_the_end_of_the_run_reads_it_from_the_address_file(tmp_path):
+def test_a_worker_that_missed_the_end_of_the_run_learns_of_the_end_from_the_address_file(tmp_path):
     with WorkerThread(settings_for(f"@{tmp_path / 'out'}", tmp_path / "host", command=SMALL)) as worker:
         with opened(tmp_path, listen=(free_endpoint(),)) as hub:
             until(lambda: bool(hub.progress().workers))

@@ -105,7 +105,7 @@ def test_a_file_that_cannot_be_validated_now_stays_and_is_adopted_later(scene, v
     assert scene.start().adopted == [1]
 
 
-def test_a_torn_bundle_is_quarantined_and_its_worker_asked_again(scene):
+def test_a_truncated_bundle_is_quarantined_and_its_job_stays_submitted(scene):
     lease, bundle = scene.announce()
     path = scene.lay("ep_000001.zip", bundle[:-100])
     assert len(scene.start().quarantined) == 1

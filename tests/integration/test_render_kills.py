@@ -46,7 +46,7 @@ def is_worker(pid: int) -> bool:
     return Path(f"/proc/{pid}/comm").read_text() == "worker\n"
 
 
-def test_kills_of_a_worker_and_of_the_coordinator_change_nothing(
+def test_kills_of_a_worker_and_of_the_coordinator_do_not_change_a_rendered_dataset(
     factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     states, out, rig = recordings[Recording.STATES], tmp_path / "frames", write_rig(tmp_path)

@@ -62,7 +62,7 @@ def test_instances_come_from_the_scene(frames: Dataset, states: Dataset) -> None
     assert states[0].instances == frames[0].instances != ()
 
 
-def test_a_changed_frame_does_not_change_the_next_reading(states: Dataset) -> None:
+def test_changes_to_a_returned_frame_do_not_change_the_next_reading(states: Dataset) -> None:
     episode = states[0]
     whole = episode.frame(5).rgb.copy()
     for read in (lambda: episode.frame(5).rgb, lambda: episode.rgb(5)):

@@ -74,12 +74,12 @@ def test_a_dataset_with_a_rig_is_valid_and_has_the_frames_and_states_of_the_othe
         assert ours.summary.content_digest != frames.summary.content_digest
 
 
-def test_a_simulation_of_the_job_measures_the_same(rigged: Path) -> None:
+def test_a_repeated_simulation_of_the_job_gives_identical_measurements(rigged: Path) -> None:
     episode = Dataset(rigged)[0]
     assert replay_episode(rigged, episode.path, "gl", lambda _step, _steps: None).is_identical
 
 
-def test_rendering_again_finds_a_sensor_that_measured_something_else(rigged: Path) -> None:
+def test_rendering_again_finds_measurements_that_were_exchanged(rigged: Path) -> None:
     episode = Dataset(rigged)[0]
     with episode.path.open("rb") as file:
         assert compare_rendered(EpisodeBundle(file, rigged), RenderDifference()) == []
@@ -125,7 +125,7 @@ def test_a_rig_that_does_not_fit_the_plan_is_refused(recordings: Recordings, tmp
         prepare_rendering(recordings[Recording.STATES], site_of(str(tmp_path / "out")), rig=str(path))
 
 
-def test_another_rig_does_not_continue_a_dataset(rigged: Path, recordings: Recordings) -> None:
+def test_a_dataset_is_not_continued_with_another_rig(rigged: Path, recordings: Recordings) -> None:
     with pytest.raises(UsageError, match=r"but driven-\S+ .* was requested"):
         prepare_rendering(recordings[Recording.STATES], site_of(str(rigged)), rig="panorama")
 

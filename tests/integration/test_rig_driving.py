@@ -41,7 +41,7 @@ def specs(drives: Dataset) -> SpecSet:
     return found.model_copy(update={"settings": found.settings.model_copy(update={"task": task})})
 
 
-def test_a_drive_measures_what_readers_of_its_recording_observe(drives: Dataset) -> None:
+def test_measurements_during_a_drive_equal_those_of_readers_of_its_recording(drives: Dataset) -> None:
     rig = small_rig(has_noise=False)
     episode = Dataset(drives.root, rig=rig)["ep_000003"]
     motion, hz = episode.motion(), episode.meta.job.task.control_hz
@@ -62,7 +62,7 @@ def test_a_drive_measures_what_readers_of_its_recording_observe(drives: Dataset)
     assert not any(key.endswith("/ids") or key in {"rgb", "depth"} for key in seen)
 
 
-def test_a_rig_with_optical_flow_cannot_be_driven(drives: Dataset, tmp_path: Path) -> None:
+def test_an_environment_refuses_a_rig_with_optical_flow(drives: Dataset, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"camera 'front' has the output 'flow'.*: remove 'flow' from outputs"):
         MiniVLANavEnv(drives.root, rig=write_rig(tmp_path))
 

@@ -90,7 +90,7 @@ def test_rosbags_decodes_every_message_with_the_published_types(out: Path, bag: 
     }
 
 
-def test_times_are_plausible_even_and_the_same_in_header_and_record(bag: Bag) -> None:
+def test_times_are_evenly_spaced_from_the_start_time_and_equal_in_header_and_record(bag: Bag) -> None:
     start = START_TIME_S * 10**9
     for topic in MOTION:
         assert [stamp for stamp, _ in bag[topic]] == [start + t * 10**9 // HZ for t in range(STEPS)]

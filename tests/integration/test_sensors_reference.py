@@ -118,7 +118,7 @@ def test_a_lidar_without_noise_agrees_with_pybullets_ray_test_on_the_drawn_trian
 
 
 @pytest.mark.gl
-def test_rays_through_pixels_meet_what_the_renderer_draws_there(
+def test_rays_through_pixels_hit_the_surfaces_that_the_renderer_draws_at_these_pixels(
     scene: CompiledScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LP_NUM_THREADS", "0")

@@ -154,7 +154,7 @@ def test_a_job_that_a_shard_quarantined_stays_quarantined_with_its_reason(tmp_pa
         ((), {}, r"no shard was found"),
     ],
 )
-def test_shards_that_do_not_make_one_run_are_refused_with_the_reason(shards, numbers, change, message):
+def test_shards_that_do_not_form_one_run_are_refused_with_the_reason(shards, numbers, change, message):
     states = {state.shard.number: (place, state) for place, state in find_shards(shards)}
     states[2] = (states[2][0], states[2][1].model_copy(update=change))
     given = [(states[number][0].with_name(f"{number}.{k}"), states[number][1]) for k, number in enumerate(numbers)]

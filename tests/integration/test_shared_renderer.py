@@ -79,7 +79,7 @@ def test_a_rendering_process_that_died_is_replaced_at_the_next_frame(many_scenes
 @pytest.mark.parametrize(
     ("number", "is_compared", "warnings"), [(None, False, 1), (0, False, 1), (1, False, 0), (None, True, 0)]
 )
-def test_another_renderer_is_logged_once_by_one_worker_of_a_loader_and_not_by_a_comparison(
+def test_a_warning_of_another_renderer_is_logged_once_by_one_worker_of_a_loader_and_not_by_a_comparison(
     many_scenes: list[ScenePackage],
     monkeypatch: pytest.MonkeyPatch,
     number: int | None,

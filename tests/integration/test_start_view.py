@@ -90,13 +90,13 @@ def test_a_start_that_shows_both_objects_is_refused_for_a_job_with_conditions(st
                     bundle.meta.model_copy(update={"job": claimed}), bundle.arrays, bundle.ids(0), bundle.depth(0)
                 )
                 assert found == [
-                    f"start: objects [{RIVAL.instance_id}] are in view, which the instruction fits as well"
+                    f"start: objects [{RIVAL.instance_id}] are in view, and the instruction fits them as well"
                 ]
                 return
     raise AssertionError("no start shows both objects")
 
 
-def test_an_attempt_without_such_a_start_fails_with_the_reason_spawn(stage):
+def test_an_attempt_without_a_start_that_meets_the_conditions_fails_with_the_reason_spawn(stage):
     walls = tuple(range(1, 1 + len(room_walls((-4.0, -4.0), (4.0, 4.0)))))
     outcome = run_attempt(_job(1, StartView(other_referents=walls)), stage, io.BytesIO(), "host-1", lambda _: None)
     assert isinstance(outcome, AttemptFailure)
@@ -122,7 +122,7 @@ class _PartsOnly:
         StartView(same_category=(RIVAL.instance_id,), least_same_category=1, ranks=(0.2, 0.9)),
     ],
 )
-def test_a_start_meets_the_conditions_exactly_if_its_whole_image_does(stage, view):
+def test_the_check_of_a_start_view_agrees_with_the_findings_of_the_whole_image(stage, view):
     stage.renderer.load(SCENE, CameraConfig())
     job = _job(1, view)
     for yaw in np.linspace(-math.pi, math.pi, 24, endpoint=False).tolist():

@@ -157,7 +157,7 @@ def test_a_host_cannot_send_operator_requests(hub, pki):
 
 
 @pytest.mark.parametrize("victim", ["node-1", "other"])
-def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_as_another(hub, pki, victim):
+def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_in_the_name_of_another_host(hub, pki, victim):
     with WireWorker(hub.endpoints, hub.run, victim, files_of(pki, victim)) as honest:
         honest.hello(version("minivla-factory"))
         job, lease = honest.job()
@@ -181,7 +181,7 @@ def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_as_another(hub,
         assert asked == []
 
 
-def test_a_host_cannot_read_bundles_of_another(hub, pki):
+def test_a_host_cannot_read_bundles_of_another_host(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
         honest.hello(version("minivla-factory"))
         _, lease = honest.job()

@@ -105,7 +105,7 @@ def test_training_overfits_a_small_dataset(root: Path, tmp_path: Path, head: str
 
 
 @needs_torch
-def test_resumed_training_ends_with_the_same_weights(root: Path, tmp_path: Path) -> None:
+def test_a_resumed_training_has_the_weights_of_an_uninterrupted_training(root: Path, tmp_path: Path) -> None:
     whole = train(root, tmp_path / "whole", options())
     train(root, tmp_path / "parts", options(), stop_after=1)
     assert train(root, tmp_path / "parts", options()) == whole
@@ -217,7 +217,7 @@ class WritesOnUnpickling:
 
 
 @needs_torch
-def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
+def test_loading_a_checkpoint_executes_no_code(tmp_path: Path) -> None:
     import torch
 
     torch.save({"meta": "{}", "model": WritesOnUnpickling(tmp_path / "written")}, tmp_path / "policy.pt")

@@ -73,7 +73,7 @@ def test_ten_thousand_hostile_requests_change_nothing_and_the_run_ends(run):
     assert "<h2>Operations</h2>" not in page  # the list of executed requests is empty
 
 
-def test_a_server_full_of_slow_clients_answers_others_and_the_run_continues(run):
+def test_a_server_with_many_slow_clients_answers_other_clients_and_the_run_continues(run):
     coordinator, client = run
     with slow_clients(client.host, 120), WireWorker(coordinator.endpoints, coordinator.run) as worker:
         assert client.ask("/").status == 200
@@ -82,7 +82,7 @@ def test_a_server_full_of_slow_clients_answers_others_and_the_run_continues(run)
         until(lambda: coordinator.progress().jobs["archived"] == 1)
 
 
-def test_the_memory_in_a_heartbeat_is_on_the_page_of_the_farm(run):
+def test_the_farm_page_shows_the_memory_that_a_heartbeat_reports(run):
     coordinator, client = run
     with WireWorker(coordinator.endpoints, coordinator.run) as worker:
         assert isinstance(worker.hello(version("minivla-factory")), HelloReply)

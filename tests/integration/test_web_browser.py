@@ -205,7 +205,7 @@ def test_states_play_in_small_frames_and_pause_on_those_of_the_dataset(browser, 
         assert not [path for path in asked if "/playback/" in path]
 
 
-def test_the_pointer_names_the_object_and_a_note_is_stored(browser, client, data):
+def test_the_object_below_the_pointer_is_named_and_a_note_is_stored(browser, client, data):
     with tab(browser, client) as page:
         page.goto(f"{client.url}/episodes/ep_000001")
         page.hover("img[data-kind=ids]")

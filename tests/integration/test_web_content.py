@@ -90,7 +90,7 @@ def test_only_films_of_failures_are_served(client, name):
     assert client.ask(f"/evaluations/results/films/{name}").status == 404
 
 
-def test_two_policies_are_compared_as_by_the_command(client):
+def test_a_page_compares_two_policies_with_the_numbers_of_the_command(client):
     rows = [
         [result_of(n, success=n % wins == 0, policy=name) for n in range(1, 7)]
         for name, wins in zip(POLICIES, (2, 3), strict=True)
@@ -183,7 +183,7 @@ def test_a_run_before_its_first_tables_is_not_reported_as_a_missing_dataset(tmp_
         until(lambda: client.ask("/episodes").status == 200)
 
 
-def test_layouts_that_are_not_built_are_named_and_their_builds_are_no_episodes(tmp_path):
+def test_layouts_that_are_not_built_are_named_and_their_builds_do_not_count_as_episodes(tmp_path):
     make_dataset(tmp_path / "data", 1)
     home = {"name": "home", "layouts": 3, "episodes": 3, "seed": 10}
     shares = {"tiers": {"near": 1}, "splits": {"train_id": 1}}
@@ -222,7 +222,7 @@ def test_a_server_that_renders_ahead_prepares_the_renderer_before_any_page_is_op
 
 
 @pytest.mark.parametrize(("is_written", "prepared"), [(False, [4, 4]), (True, [1])])
-def test_beside_a_run_only_the_first_table_prepares_a_scene(monkeypatch, is_written: bool, prepared: list[int]):
+def test_during_a_run_only_the_first_table_prepares_a_scene(monkeypatch, is_written: bool, prepared: list[int]):
     calls: list[int] = []
     frames = SimpleNamespace(prepare=lambda keys: calls.append(len(keys)))
     context = SimpleNamespace(frames=frames, workspace=SimpleNamespace(is_written=lambda: is_written))

@@ -255,7 +255,7 @@ def test_hostile_requests_are_refused(client, path, method, headers, status):
     assert client.ask(path, method, **headers).status == status
 
 
-def test_the_server_answers_a_client_with_its_token_as_bearer(client):
+def test_the_server_accepts_the_token_in_a_bearer_header(client):
     assert client.ask("/login", "POST", "token=wrong").status == 401
     assert client.ask("/login", "POST", f"token={client.token}").status == 303
     reply = client.ask("/operations/pause", "POST", "", Authorization=f"Bearer {client.token}")
@@ -263,7 +263,7 @@ def test_the_server_answers_a_client_with_its_token_as_bearer(client):
     assert "Confirm" in reply.text
 
 
-def test_with_a_chosen_token_reading_requires_it(data):
+def test_reading_requires_the_token_if_the_user_has_chosen_one(data):
     token = "0123456789abcdef"
     with serve(site_of(str(data)), "127.0.0.1:0", token) as url:
         client = WebClient(url.removeprefix("http://"), token)

@@ -40,7 +40,7 @@ def test_the_page_answers_while_the_figures_are_drawn_and_the_next_server_shows_
     assert {path: path.stat().st_mtime_ns for path in (cache_directory() / "statistics").iterdir()} == cached
 
 
-def test_a_large_dataset_has_figures_of_some_episodes_before_those_of_the_report(tmp_path):
+def test_the_figures_of_a_large_dataset_are_first_drawn_from_some_of_its_episodes(tmp_path):
     make_dataset(tmp_path / "data", 3)
     progress: list[tuple[int, int]] = []
     parts = list(draw_statistics(tmp_path / "data", lambda done, total: progress.append((done, total)), 1))
@@ -51,7 +51,7 @@ def test_a_large_dataset_has_figures_of_some_episodes_before_those_of_the_report
     assert list(draw_statistics(tmp_path / "data", lambda _done, _all: None, 1)) == parts[1:]
 
 
-def test_after_a_drawing_the_figures_of_a_changed_dataset_wait_for_a_pause(tmp_path):
+def test_the_figures_of_a_changed_dataset_are_drawn_again_only_after_a_pause(tmp_path):
     now_s = 0.0
 
     def clock() -> float:

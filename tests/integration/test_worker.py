@@ -60,7 +60,7 @@ def test_worker_delivers_every_bundle_intact_and_exits_when_the_run_is_finished(
     assert not list((tmp_path / "spool").rglob("*.zip"))
 
 
-def test_a_world_failure_is_reported_as_the_simulation_gave_it(tmp_path):
+def test_a_task_failure_is_reported_with_the_reason_and_details_of_the_simulation(tmp_path):
     with coordinator("miss") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
         assert worker.join() == 0
         (fail,) = hub.ended.values()
@@ -149,7 +149,7 @@ def test_a_lost_lease_ends_the_attempt_without_an_announcement(tmp_path):
         assert {message.lease.job_id for message in (*hub.of(Done), *hub.of(Fail))} == {2}
 
 
-def test_sigterm_gives_running_jobs_back_and_exits_within_five_seconds(tmp_path):
+def test_a_worker_that_receives_sigterm_releases_its_jobs_and_exits_within_five_seconds(tmp_path):
     with (
         coordinator("slow", "slow") as hub,
         started_worker(settings_for(hub.endpoint, tmp_path, cores=2)) as worker,
@@ -162,7 +162,7 @@ def test_sigterm_gives_running_jobs_back_and_exits_within_five_seconds(tmp_path)
         assert not any(is_alive(pid) for pid in started(tmp_path).values())
 
 
-def test_sigterm_without_a_coordinator_exits_and_keeps_spooled_bundles(tmp_path):
+def test_a_worker_that_receives_sigterm_without_a_coordinator_exits_and_keeps_spooled_bundles(tmp_path):
     with coordinator("bundle", "slow") as hub:
         hub.pulls = False
         with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
@@ -174,7 +174,7 @@ def test_sigterm_without_a_coordinator_exits_and_keeps_spooled_bundles(tmp_path)
     assert len(list((tmp_path / "spool").rglob("*.json"))) == 1
 
 
-def test_ctrl_c_after_sigterm_does_not_wait_for_the_spool(tmp_path):
+def test_a_worker_that_receives_ctrl_c_after_sigterm_does_not_wait_for_its_spool(tmp_path):
     with coordinator("bundle", "slow") as hub:
         hub.pulls = False
         with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
@@ -210,7 +210,7 @@ def number(request):
     signal.signal(request.param, before)
 
 
-def test_a_simulation_that_a_signal_from_outside_ends_is_released_and_not_a_crash(tmp_path, number):
+def test_a_job_whose_simulation_is_ended_by_an_external_signal_is_released_without_a_crash_report(tmp_path, number):
     with coordinator("slow", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
         wait_until(lambda: 1 in started(tmp_path), "the attempt")
         os.kill(started(tmp_path)[1], number)
@@ -221,7 +221,7 @@ def test_a_simulation_that_a_signal_from_outside_ends_is_released_and_not_a_cras
 
 
 @pytest.mark.parametrize("order", ["simulation first", "worker first"])
-def test_sigkill_to_the_simulation_of_a_stopping_worker_is_released(tmp_path, order):
+def test_the_job_of_a_simulation_killed_while_its_worker_stops_is_released(tmp_path, order):
     with (
         coordinator("slow") as hub,
         started_worker(settings_for(hub.endpoint, tmp_path)) as worker,
@@ -354,7 +354,7 @@ def test_a_worker_whose_simulations_do_not_start_claims_no_job(tmp_path):
         assert not hub.of(Claim)
 
 
-def test_a_worker_with_a_paused_simulation_learns_the_end_of_the_run_from_a_heartbeat(tmp_path):
+def test_a_worker_whose_only_slot_pauses_learns_of_the_end_of_the_run_from_a_heartbeat(tmp_path):
     """The only slot of the worker pauses after a crash, so the worker claims no job for some time."""
     with coordinator("die") as hub:
         hub.tells_end_by_beat = True

@@ -111,7 +111,7 @@ def test_robot_comes_to_a_stop(room: World) -> None:
     assert room.speed() < 0.02
 
 
-def test_robot_stops_at_a_wall_with_its_nose_and_does_not_enter_it(room: World) -> None:
+def test_robot_stops_with_its_front_at_a_wall_and_does_not_enter_the_wall(room: World) -> None:
     room.place(2.5, 0.0, 0.0)
     assert not room.has_obstacle_contact()
     drive(room, [Twist(1.0, 0.0)] * 240)
@@ -188,7 +188,7 @@ def test_a_world_after_others_with_the_same_obstacles_is_bit_identical(substeps:
         assert trajectory_digest(World(scene, used, robot, HZ)) == trajectory_digest(fresh)
 
 
-def test_a_world_is_not_built_on_the_robot_of_another_job() -> None:
+def test_a_world_is_identical_if_a_world_with_another_robot_was_built_before() -> None:
     scene = box_room()
     collider, narrow = ColliderMesh.from_scene(scene), ROBOT.model_copy(update={"track_m": 0.3})
     for robot in (ROBOT, narrow, ROBOT):
@@ -222,7 +222,7 @@ def test_large_meshes_are_split_into_pieces_with_the_same_triangles() -> None:
     assert np.array_equal(np.concatenate(corners), vertices[triangles.ravel()])
 
 
-def test_unused_meshes_leave_no_references() -> None:
+def test_closed_worlds_leave_no_references_to_mesh_lists() -> None:
     """PyBullet itself would keep a reference to every list that it receives."""
     rng = np.random.default_rng(0)
     vertices = rng.uniform(3, 4, (3000, 3)).astype(np.float32)

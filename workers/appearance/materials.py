@@ -158,7 +158,9 @@ def _change(slot: SurfaceSlot, colour: str, material: Material | None = None) ->
 
 
 def _points(scene: CompiledScene, areas: Floats, cross: Floats) -> tuple[Ints, Ints, Floats]:
-    """Returns points on the objects of categories, evenly by area: their instance, triangle and weights (N, 3).
+    """Returns points spread evenly over the area of each object with a category.
+
+    Each point is an instance, a triangle and barycentric weights (N, 3).
 
     Faces that face down are omitted, as by the scene compiler when it names colours.
     """

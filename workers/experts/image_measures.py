@@ -48,7 +48,7 @@ def measure_mask(
     if pixels < min_pixels:
         return MaskMeasures(pixels, FRAME_SIZE_PX / 2, lambda: 0.0)
     columns = _pixels_by_column(mask)
-    # float64 represents this sum of multiples of 0.5 exactly, so a window gives the bits of the whole image
+    # float64 represents this sum of multiples of 0.5 exactly, so a window gives the same column as the whole image
     column = float(np.dot(columns, np.arange(left, left + ids.shape[1]) + 0.5)) / pixels
     return MaskMeasures(pixels, column, lambda: float(np.median(depth[mask])))
 

@@ -57,9 +57,9 @@ class NoiseKey:
     def bits(self, effect: Effect, shape: int | tuple[int, ...], step: int = 0) -> NDArray[np.uint16]:
         """Returns random numbers, uniform in 0..65535.
 
-        The counter of Philox contains effect and step, so each pair has separate numbers and any step can be read
-        first (J. K. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011). The first numbers do not
-        depend on the shape.
+        The counter of Philox contains effect and step, so each pair has separate numbers, and steps can be read
+        in any order (J. K. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011). The first numbers do
+        not depend on the shape.
 
         Args:
             effect: cause of the noise.

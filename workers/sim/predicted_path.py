@@ -1,8 +1,8 @@
 """Predicts the path of a controller that drives straight to its target, without physics and rendering.
 
-The model is a unicycle that turns by the column of the target's mask, or else by the bearing, with the gains of the
-proportional expert and the robot's slew limits. It helps to select start poses. It does not predict how an episode
-ends.
+The model is a unicycle with the gains of the proportional expert and the robot's slew limits. It steers by the column
+of the target's mask, or by the bearing if the mask is too small. It helps to select start poses. It does not predict
+how an episode ends.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class BuiltInLayout(NamedTuple):
 
 
 def built_in_layout(name: str, seed: int) -> BuiltInLayout | None:
-    """Returns the layout of the name of a built-in scene or of a layout; `None` for any other name.
+    """Returns the layout that the name of a built-in scene or of a layout denotes; `None` for any other name.
 
     Args:
         name: name such as `office` or `office_00007`, whose number is its seed.

@@ -1,4 +1,5 @@
-"""Finds the appearance of evaluation episodes. They cannot have clutter, which is placed away from a recorded path."""
+"""Finds the appearance of evaluation episodes. They cannot have clutter: it is placed away from a
+recorded path, and an evaluated policy drives another path."""
 
 from __future__ import annotations
 

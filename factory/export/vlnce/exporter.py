@@ -38,7 +38,7 @@ from schemas.storage.place import Place
 PIECE_FILE = "episode.json"
 _GZIP_LEVEL = 6
 _CARD = """
-- `<split>/<split>.json.gz`: `episodes` and `instruction_vocab`, as habitat's VLN datasets are parsed;
+- `<split>/<split>.json.gz`: `episodes` and `instruction_vocab`, in the form that Habitat's VLN datasets have;
   `<split>/<split>_gt.json.gz`: the driven path of each episode (`locations`, every 1/60 s), for nDTW and SDTW.
 - Positions are in Habitat's world: x right, y up, z backward. A point (x, y, z) of our world (x forward, y left, z up)
   is (x, z, -y) there. `start_rotation` is a quaternion (x, y, z, w); an agent looks along its own -z.

@@ -21,7 +21,7 @@ _ROUND_COS = math.cos(math.radians(46.0))
 """Cosine of the maximum smooth angle: the sides of an octagon are smooth, those of a hexagon are not."""
 _MOST_AT_A_CORNER = 64
 _MOST_TRIANGLES = 1_000_000
-"""Maximum number of triangles with smooth normals; charts of larger scenes are smaller than texels."""
+"""Scenes with more triangles get flat normals, because their charts are smaller than texels."""
 _WELD_M = 1e-4
 _BENT_COS = math.cos(math.radians(2.0))
 _AT_CORNER = 1e-6

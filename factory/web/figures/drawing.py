@@ -34,7 +34,7 @@ _CODE = (Path(factory.report.__file__).parent, Path(factory.stats.__file__).pare
 def draw_statistics(
     root: Place, on_progress: Callable[[int, int], None], first_opened: int = FIRST_OPENED
 ) -> Iterator[DrawnStatistics]:
-    """Yields the figures of a dataset: of a large one, first from `first_opened` episodes, then as in the report.
+    """Yields the figures of a dataset; for a large dataset, first from `first_opened` episodes, then as in the report.
 
     Complete figures are cached by the content of the tables. The files of the episodes are not part of the key.
 

@@ -154,7 +154,7 @@ def divide_rooms(
 
 
 def _close_openings(walls: Bools, resolution_m: float, opening_m: float) -> Bools:
-    """Returns the walls with the gaps between two collinear runs of cells filled, along both axes."""
+    """Returns the walls with filled gaps of at most `opening_m` between collinear runs of cells, along both axes."""
     longest, least = opening_m / resolution_m, _SHORTEST_RUN_M / resolution_m
     closed = walls.copy()
     for lines, filled in ((walls, closed), (walls.T, closed.T)):

@@ -62,7 +62,7 @@ class SceneObject:
     base_m: float
     """Height of its lower side above the floor, metres."""
     looks: str | None = None
-    """Kind that its prim names, if it differs from `kind` and a viewer may see the object as that kind."""
+    """Kind in the name of its prim, if it differs from `kind` and a viewer may see the object as that kind."""
     shows: tuple[str, ...] = ()
     """Kinds of objects that a viewer may see in a part of it, such as a monitor in the screen of a till."""
     area: int = 0

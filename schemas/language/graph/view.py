@@ -25,7 +25,8 @@ _BEFORE_M = 0.12
 """Distance before the object at which a line of sight ends, metres, so the object itself does not block it."""
 _STEP_CELLS = 1.5
 _TALL_M = 0.6
-"""An object is at image height if the image shows half of its height, or this height, metres."""
+"""Height of a part of an object that suffices within the vertical range of the image, if half of the object is higher,
+metres."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Ends of the lines of sight to an object: offsets from its centre, as shares of its half width and half length."""
 

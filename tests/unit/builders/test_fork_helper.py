@@ -146,7 +146,7 @@ def expect_programs_with_another_identity() -> None:
             assert (printed == b"0077\n") == ("umask" in options)
 
 
-def test_other_programs_with_groups_or_a_mask_are_started_as_before():
+def test_programs_with_other_groups_or_another_umask_are_started_with_them():
     in_fresh_process(expect_programs_with_another_identity)
 
 

@@ -19,7 +19,7 @@ sys.stdin.read()
 """
 
 
-def test_processes_get_different_ports_also_from_the_same_first_port():
+def test_processes_that_search_from_the_same_first_port_get_different_ports():
     words = [sys.executable, "-c", _TAKES_THREE, "1234"]
     children = [
         subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)

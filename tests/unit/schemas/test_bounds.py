@@ -151,7 +151,7 @@ def test_an_invalid_host_name_is_refused_and_shortened_in_the_message(host: str)
     assert len(refusal.error) < 200
 
 
-def test_a_beat_of_too_many_leases_is_refused() -> None:
+def test_a_heartbeat_with_too_many_leases_is_refused() -> None:
     leases = [LEASE | {"job_id": number} for number in range(1, 400)]
     with pytest.raises(ValidationError, match="at most 256"):
         Beat.model_validate({"sid": "a", "spool": leases})

@@ -88,7 +88,7 @@ def test_the_shortest_way_into_the_goal_leads_to_the_nearest_side() -> None:
     assert end.tolist() == pytest.approx([1.2, 1.5])
 
 
-def test_a_target_without_footprint_has_no_goal_by_surface_and_the_message_names_what_is_possible() -> None:
+def test_the_surface_measure_is_refused_for_a_target_without_footprint_with_both_remedies() -> None:
     target = box_room().info.targets[0].model_copy(update={"footprint_m": ()})
     assert Goal.of(target, TaskConfig()).distance(*target.centroid_m[:2]) == 0.0
     with pytest.raises(WorldError, match=r"factory scene build.*task\.success = \"centroid\""):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from coordinator.archive.difference import GONE, ListedFile, RecordedFile, describe_difference, diff_archive
 
 
-def test_files_as_recorded_are_the_same() -> None:
+def test_files_that_match_their_records_have_no_difference() -> None:
     difference = diff_archive({1: ListedFile(5), 2: ListedFile(6, "b")}, {1: RecordedFile(5), 2: RecordedFile(6, "b")})
     assert difference.same == (1, 2)
     assert (difference.missing, difference.strays, difference.elsewhere) == ((), (), ())

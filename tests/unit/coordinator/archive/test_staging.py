@@ -40,7 +40,7 @@ def test_a_directory_is_locked_until_its_coordinator_is_killed(tmp_path: Path) -
     assert is_held(tmp_path) is False
 
 
-def test_checking_the_lock_never_blocks_a_coordinator(tmp_path: Path) -> None:
+def test_checking_the_lock_never_prevents_a_coordinator_from_taking_the_lock(tmp_path: Path) -> None:
     Staging(tmp_path, "dataset").close()
     ended = threading.Event()
 

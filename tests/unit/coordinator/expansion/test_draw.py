@@ -224,19 +224,19 @@ def test_the_screening_of_a_scene_replaces_that_of_the_plan() -> None:
 
 
 @pytest.mark.parametrize("screening", ["none", "foreseen"])
-def test_paper_with_another_screening_of_a_scene_is_not_the_plan_of_the_paper(screening: str) -> None:
+def test_the_plan_paper_with_another_screening_of_a_scene_is_not_a_paper_plan(screening: str) -> None:
     assert is_paper_plan(shrink(PAPER, scenes=("office", "hospital"), episodes=10))
     office = PAPER.scenes[0].model_copy(update={"screening": Screening(screening)})
     assert not is_paper_plan(PAPER.model_copy(update={"scenes": (office, *PAPER.scenes[1:])}))
 
 
-def test_the_first_screening_is_omitted_so_that_old_digests_stay_valid() -> None:
+def test_the_default_screening_is_omitted_from_json_so_that_old_digests_stay_valid() -> None:
     assert not {"screening", "far_floor_m"} & SpawnConfig().model_dump().keys()
     assert SpawnConfig.model_validate_json(SpawnConfig().model_dump_json()).screening is Screening.FORESEEN
     assert "screening" not in ScenePlan(name="office", episodes=1).model_dump()
 
 
-def test_a_plan_by_surface_names_scenes_of_older_versions_and_both_remedies():
+def test_the_error_of_a_plan_with_the_surface_measure_names_scenes_of_older_versions_and_both_remedies():
     plan = Plan(name="old", scenes=(ScenePlan(name="office", episodes=4),), task=BY_SURFACE)
     bare = [make_target("chair", 1, 1).model_copy(update={"footprint_m": (), "surface_straight_tiers": ()})]
     (line,) = find_impossible(plan, {"office": make_entry("office", bare)})
@@ -245,7 +245,7 @@ def test_a_plan_by_surface_names_scenes_of_older_versions_and_both_remedies():
     assert 'task.success = "centroid"' in line
 
 
-def test_a_target_that_is_too_large_for_a_metre_to_its_centre_is_drawn_by_surface_only():
+def test_a_target_whose_centroid_is_out_of_reach_is_drawn_only_with_the_surface_measure():
     large = make_target("table", 1, 2).model_copy(update={"straight_tiers": (), "connected_tiers": ()})
     entry = make_entry("office", [make_target("chair", 1, 1), large])
     scene = ScenePlan(name="office", episodes=8, seen=("chair", "table"))

@@ -83,7 +83,7 @@ def test_a_single_instance_is_shared_and_reported() -> None:
     assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION) == {"trash_can_000"}
 
 
-def test_instances_that_start_from_most_tiers_are_given_to_both_sides() -> None:
+def test_instances_with_starts_in_most_tiers_are_given_to_both_sides() -> None:
     targets = [make_target("chair", n, n + 1, tiers=[Tier.NEAR]) for n in range(6)]
     targets += [make_target("chair", n, n + 1) for n in (6, 7)]
     entry = make_entry("hospital", targets)
@@ -95,7 +95,7 @@ def test_instances_that_start_from_most_tiers_are_given_to_both_sides() -> None:
             assert scene_cells(plan, plan.scenes[0], entry).pool(split, tier)
 
 
-def test_a_tier_with_one_target_shares_it_so_that_no_cell_is_empty() -> None:
+def test_the_only_target_of_a_tier_is_shared_so_that_no_cell_is_empty() -> None:
     targets = [make_target("chair", n, n + 1, tiers=[Tier.NEAR, Tier.MID]) for n in range(5)]
     targets += [make_target("trash_can", n, n + 9, tiers=[Tier.NEAR, Tier.MID]) for n in range(5)]
     entry = make_entry("hospital", [*targets, make_target("chair", 5, 6)])
@@ -106,7 +106,7 @@ def test_a_tier_with_one_target_shares_it_so_that_no_cell_is_empty() -> None:
     assert scene_cells(plan, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.FAR)
 
 
-def test_sides_depend_on_plan_and_scene_only_and_follow_the_expert() -> None:
+def test_sides_of_instances_depend_only_on_plan_and_scene_and_need_starts_for_the_expert() -> None:
     catalog = hospital_of(9, 9)
     first, second = (scene_cells(office_plan(), office_plan().scenes[0], catalog["hospital"]).sides for _ in range(2))
     assert first == second

@@ -82,7 +82,7 @@ def test_categories_of_a_family_are_even_over_all_layouts() -> None:
         assert max(counts.values()) - min(counts.values()) <= 1
 
 
-def test_the_categories_of_layouts_are_known_from_the_plan_as_they_are_drawn() -> None:
+def test_the_planned_categories_of_layouts_are_those_that_are_drawn() -> None:
     plan = family_plan()
     drawn = Counter(job.episode.category for job in expand(plan, make_catalog(plan)) if job.episode.scene != "office")
     assert planned_categories(plan) == drawn

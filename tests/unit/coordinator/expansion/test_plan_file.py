@@ -39,7 +39,7 @@ def test_a_valid_file_is_read_and_scene_paths_are_relative_to_it(tmp_path):
     assert plan.episodes == 15
 
 
-def test_an_unknown_plan_names_the_built_in_ones():
+def test_the_error_of_an_unknown_plan_lists_the_built_in_plans():
     with pytest.raises(UsageError, match="demo, paper, balanced, referring; did you mean 'paper'"):
         load_plan("papper")
 
@@ -87,7 +87,7 @@ def test_shares_that_do_not_add_up_are_each_named(tmp_path):
     assert [text.split(":")[0] for text in caught.value.findings] == ["tiers", "splits"]
 
 
-def test_an_unknown_screening_names_the_possible_ones(tmp_path):
+def test_the_error_of_an_unknown_screening_lists_the_valid_screenings(tmp_path):
     path = tmp_path / "p.toml"
     path.write_text('[spawn]\nscreening = "blind"\n[[scenes]]\nname = "office"\nepisodes = 3\n')
     with pytest.raises(InvalidPlan, match=r"spawn\.screening.*'none', 'sight', 'free_line' or 'foreseen'.*'blind'"):
@@ -159,7 +159,7 @@ def test_equivalent_plans_have_one_digest():
     assert demo.digest != shrink(demo, seed=1).digest
 
 
-def test_a_recording_of_frames_leaves_the_digest_as_it_was_and_states_change_it(tmp_path):
+def test_a_recording_of_frames_keeps_the_former_digest_and_a_recording_of_states_has_another_digest(tmp_path):
     demo = BUILTIN_PLANS["demo"]
     assert "record" not in demo.model_dump()
     states = shrink(demo, record=Recording.STATES)
@@ -170,7 +170,7 @@ def test_a_recording_of_frames_leaves_the_digest_as_it_was_and_states_change_it(
     assert load_plan(str(path)).record is Recording.STATES
 
 
-def test_an_unknown_recording_names_the_valid_ones(tmp_path):
+def test_the_error_of_an_unknown_recording_lists_the_valid_recordings(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('record = "video"\n' + GOOD)
     with pytest.raises(InvalidPlan, match="record: Input should be 'frames' or 'states'"):
@@ -189,7 +189,7 @@ def test_paths_of_rules_and_targets_are_relative_to_the_file(tmp_path):
     assert (lab.rules, lab.targets) == (None, None)
 
 
-def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
+def test_unused_keys_of_a_scene_do_not_change_the_digest(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     plan = load_plan(str(path))
@@ -198,7 +198,7 @@ def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
     assert plan.model_copy(update={"scenes": (other, plan.scenes[1])}).digest != plan.digest
 
 
-def test_a_ceiling_is_for_a_stage_and_not_for_a_built_in_scene() -> None:
+def test_a_ceiling_is_permitted_for_a_stage_and_refused_for_a_built_in_scene() -> None:
     stage = ScenePlan(name="lab", usd="lab.usda", seen=("chair",), episodes=1, ceiling_m=2.6)
     assert ScenePlan.model_validate(stage.model_dump()).ceiling_m == 2.6
     with pytest.raises(ValueError, match="built-in scene has a ceiling"):
@@ -217,7 +217,7 @@ def test_a_copy_with_other_values_has_another_digest() -> None:
     assert one.digest == same.digest
 
 
-def test_shares_over_all_scenes_count_the_scenes_that_have_their_own() -> None:
+def test_shares_over_all_scenes_include_scenes_with_separate_shares() -> None:
     plan = load_plan("demo")
     first, *rest = plan.scenes
     own = first.model_copy(update={"tiers": {Tier.FAR: 1.0}, "episodes": sum(scene.episodes for scene in rest)})
@@ -226,7 +226,7 @@ def test_shares_over_all_scenes_count_the_scenes_that_have_their_own() -> None:
     assert sum(map(mixed.split_share, Split)) == pytest.approx(1)
 
 
-def test_a_file_without_a_success_measure_means_the_surface_and_the_plans_of_older_datasets_the_centroid(tmp_path):
+def test_a_plan_file_without_a_success_measure_has_the_surface_and_a_plan_of_an_older_dataset_the_centroid(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     assert load_plan(str(path)).task.success is SuccessMeasure.SURFACE
@@ -238,7 +238,7 @@ def test_a_file_without_a_success_measure_means_the_surface_and_the_plans_of_old
     assert Plan.model_validate_json(older.model_dump_json()) == older
 
 
-def test_the_paper_measures_to_the_centroid_without_requirements_and_balanced_to_the_surface_with_them():
+def test_the_plan_paper_measures_to_the_centroid_and_the_plan_balanced_to_the_surface_with_requirements():
     paper, balanced = load_plan("paper"), load_plan("balanced")
     assert paper.task.success is SuccessMeasure.CENTROID
     assert "demonstration" not in paper.model_dump_json()

@@ -62,14 +62,14 @@ def test_a_plan_without_a_language_block_has_its_former_digest():
     assert "language" in plan_to_toml(BUILTIN_PLANS["referring"])
 
 
-def test_only_categories_with_enough_objects_are_drawn_and_the_error_lists_them():
+def test_only_categories_with_enough_objects_are_drawn_and_the_error_lists_these_categories():
     (line,) = find_impossible(_plan(("chair", "plant"), same_category=1), {"office": ENTRY})
     assert "plant has fewer; categories with enough objects: chair" in line
     jobs = expand(_plan(same_category=2), {"office": ENTRY})
     assert {job.episode.template_id for job in jobs} == {FROM_START}
 
 
-def test_the_start_shows_others_of_the_category_and_shares_are_drawn_once_for_each_episode():
+def test_the_start_view_shows_other_objects_of_the_category_and_ranks_are_drawn_once_for_each_episode():
     plan = _plan(in_view=1, balanced=True)
     catalog = {"office": ENTRY}
     found = [to_job(plan, catalog, job, 1).start_view for job in expand(plan, catalog)]
@@ -107,7 +107,7 @@ def test_the_target_is_drawn_at_the_start_among_the_permitted_objects_of_its_cat
     assert again.choice.share == choices[0].share
 
 
-def test_a_block_that_no_target_can_satisfy_names_what_is_possible():
+def test_the_error_of_a_language_block_that_no_target_satisfies_lists_the_possible_features():
     probes = [(number_at(-3.0, 1.6), view) for view in views(2)]
     features = dict.fromkeys(LanguageSpec().families, 0.0) | {"support": 1.0}
     why = explain_impossible(two_rooms(), LanguageSpec(features=features), probes)

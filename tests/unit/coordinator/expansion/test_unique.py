@@ -64,7 +64,7 @@ def test_redraws_of_scene_unique_plans_stay_unique():
             assert len(referents_of(planned.episode, ENTRY.info)) == 1
 
 
-def test_a_redraw_that_cannot_change_the_target_changes_the_words():
+def test_a_redraw_that_cannot_change_the_target_changes_the_template():
     """With the words unchanged, every draw of "the sofa" could fail, although "the red sofa" has a valid start."""
     plan, catalog = _plan("view", seen=("plant",)), {"office": ENTRY}
     named = set()
@@ -76,7 +76,7 @@ def test_a_redraw_that_cannot_change_the_target_changes_the_words():
     assert named == {False, True}
 
 
-def test_a_redraw_of_another_target_keeps_the_words_that_fit_it():
+def test_a_redraw_of_another_target_keeps_the_template():
     plan, catalog = _plan("view", seen=("chair",)), {"office": ENTRY}
     for planned in expand(plan, catalog)[:20]:
         again = redraw(plan, catalog, planned)
@@ -84,7 +84,7 @@ def test_a_redraw_of_another_target_keeps_the_words_that_fit_it():
         assert again.episode.template_id == planned.episode.template_id
 
 
-def test_a_category_without_a_unique_object_is_refused_with_what_is_unique():
+def test_a_category_without_a_unique_object_is_refused_with_the_unique_objects():
     plan = _plan("scene", seen=("chair", "monitor", "plant"))
     (line,) = find_impossible(plan, {"office": ENTRY})
     assert 'instructions.unique is "scene", but no instruction fits only one monitor;' in line
@@ -103,7 +103,7 @@ def test_a_scene_without_unique_objects_is_reported_and_removed_from_the_nearest
     assert find_impossible(mixed.plan, {"office": ENTRY}) == []
 
 
-def test_colours_do_not_identify_where_the_plan_names_none():
+def test_colours_do_not_identify_objects_if_the_plan_names_no_colours():
     plan = _plan("scene").model_copy(update={"colors": "off"})
     (line,) = find_impossible(plan, {"office": ENTRY})
     assert "no instruction fits only one chair; unique in the scene: plant;" in line
@@ -153,7 +153,7 @@ def test_jobs_without_conditions_have_the_json_of_earlier_versions():
     assert Job.model_validate_json(with_view.model_dump_json()) == with_view
 
 
-def test_the_summary_counts_ambiguous_instructions_and_those_shown_alone():
+def test_the_summary_counts_ambiguous_instructions_and_targets_that_are_shown_alone():
     entry = {"office": ENTRY}
     off, view = (summarise(_plan(unique, seen=("monitor", "plant")), entry) for unique in ("off", "view"))
     assert (off.ambiguous, off.shown_alone) == (60, 0)

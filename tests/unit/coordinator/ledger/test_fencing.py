@@ -188,7 +188,7 @@ TestStaleWorkersChangeNothing.settings = settings(
 )
 
 
-def test_stale_workers_change_nothing_on_a_server_either(postgres_server):
+def test_stale_workers_change_nothing_in_a_ledger_on_a_database_server(postgres_server):
     class OnServer(Ledger):
         def new_database(self) -> str:
             return postgres_server.new_database()

@@ -102,7 +102,7 @@ def test_a_host_that_fails_every_job_is_barred_and_no_job_is_abandoned(counter, 
     assert counter.claim("good").job is not None
 
 
-def test_a_host_that_fails_all_jobs_at_once_abandons_none(counter):
+def test_no_job_is_abandoned_if_one_host_fails_all_jobs_at_once(counter):
     for _ in range(5):
         leases = []
         while (reply := counter.claim("bad")).lease is not None:
@@ -173,7 +173,7 @@ def test_a_job_that_fails_on_every_host_is_abandoned(counter):
     assert counter.counts()["failed"] == 1
 
 
-def test_two_failing_hosts_abandon_no_job_that_another_host_can_try(counter):
+def test_a_job_that_fails_on_two_hosts_is_not_abandoned_if_another_host_can_try_the_job(counter):
     kept = tuple(counter.claim("good").lease for _ in range(EPISODES - 1))
     for _ in range(400):
         for host in ("hostile", "faulty"):
@@ -220,7 +220,7 @@ def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counte
     assert all(host.barred_at is None for host in counter.troubled())
 
 
-def test_a_host_that_holds_one_job_back_is_barred_where_others_could_try_it(counter):
+def test_a_host_that_repeatedly_fails_one_job_is_barred_if_other_hosts_could_try_the_job(counter):
     counter.hello("good")
     target = counter.claim("bad")
     others = [counter.claim("good").lease for _ in range(EPISODES - 1)]

@@ -167,7 +167,7 @@ def test_a_late_result_of_a_lost_lease_changes_nothing(timed_ledger):
 
 
 @pytest.mark.parametrize("reason", WORLD)
-def test_a_world_failure_starts_the_next_attempt(timed_ledger, reason):
+def test_a_task_failure_starts_the_next_attempt(timed_ledger, reason):
     lease = timed_ledger.lease()
     assert timed_ledger.fail(lease, reason)
     row = timed_ledger.row(lease.job_id)

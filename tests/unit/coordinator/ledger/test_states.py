@@ -29,7 +29,7 @@ def test_every_event_has_a_source_and_leads_to_one_state(event):
 
 
 @pytest.mark.parametrize(("state", "event"), sorted(set(itertools.product(JobState, Event)) - set(TRANSITIONS)))
-def test_an_unlisted_pair_raises_naming_both(state, event):
+def test_an_unlisted_pair_of_state_and_event_raises_an_error_that_names_both(state, event):
     with pytest.raises(InvalidTransition, match=f"a job that is {state} cannot be {event}"):
         next_state(state, event)
 

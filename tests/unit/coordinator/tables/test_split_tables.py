@@ -92,7 +92,7 @@ def test_current_tables_are_not_rewritten(root: Path) -> None:
     assert state_of(root) == before
 
 
-def test_a_thumbnail_is_made_once_even_when_rows_come_in(tmp_path: Path) -> None:
+def test_thumbnails_are_kept_if_the_rows_of_their_episodes_change(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 3, planned=5)
     root = tmp_path / "data"
     old = read_pictures(root / TRAIN)
@@ -212,7 +212,7 @@ def test_tables_that_lag_behind_an_active_run_are_valid(root: Path) -> None:
     assert [finding.kind for finding in verify(root).findings] == [Kind.DAMAGED]
 
 
-def test_a_card_that_lost_its_tables_is_completed(root: Path) -> None:
+def test_missing_split_tables_are_added_to_the_card(root: Path) -> None:
     card = (root / CARD_FILE).read_text()
     (root / CARD_FILE).write_text(card.replace("path: data/val_id-*.parquet", "path: gone-*.parquet"))
     rewrite(root)

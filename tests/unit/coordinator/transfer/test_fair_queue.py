@@ -26,7 +26,7 @@ def test_the_least_served_owner_is_next() -> None:
     assert [serve(queue, 0.1) for _ in range(3)] == ["b1", "b2", "a3"]
 
 
-def test_items_of_one_owner_stay_in_order_and_an_unfinished_one_goes_first() -> None:
+def test_items_of_one_owner_stay_in_order_and_an_unfinished_item_is_first() -> None:
     queue: FairQueue[str] = FairQueue()
     queue.put("a", "a1")
     queue.put("a", "a2")

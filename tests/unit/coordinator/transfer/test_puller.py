@@ -132,7 +132,7 @@ def test_a_bundle_that_cannot_be_linked_is_fetched(tmp_path: Path) -> None:
             assert len(recorded.fetched) == 3
 
 
-def test_a_bundle_on_the_archives_disk_must_be_the_one_announced(tmp_path: Path) -> None:
+def test_a_bundle_on_the_archives_disk_that_differs_from_the_announced_bundle_is_refused(tmp_path: Path) -> None:
     path = spooled(tmp_path, bytes(reversed(BUNDLE)))
     with pulled(tmp_path, lambda _lease: path) as (recorded, place):
         assert not place.exists()

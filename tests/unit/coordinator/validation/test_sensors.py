@@ -62,7 +62,7 @@ def test_a_sample_decodes_some_measurements_and_the_last_one() -> None:
     assert [text.partition(":")[0] for text in findings(parts.write(), scope=Scope.SAMPLE)] == ["sensor scan, step 11"]
 
 
-def test_exchanged_measurements_do_not_have_the_recorded_digest() -> None:
+def test_exchanged_measurements_are_found_by_their_digest() -> None:
     parts, steps = rigged_parts(), iter(range(12))
 
     def measure(specs: Mapping[str, ArraySpec]) -> Arrays:

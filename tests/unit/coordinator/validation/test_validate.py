@@ -162,7 +162,7 @@ def test_start_without_the_target_in_view_is_refused() -> None:
     assert "start: the target is not in view\nstart: objects [2] of the target's category are in view" in found
 
 
-def test_start_beside_the_heading_of_an_instruction_in_front_is_refused() -> None:
+def test_a_start_whose_target_is_too_far_from_the_heading_is_refused() -> None:
     job = job_for(start_view=StartView(within_rad=math.radians(30)))
     turned = parts_for(job)
     poses = turned.arrays.poses.copy()
@@ -172,7 +172,7 @@ def test_start_beside_the_heading_of_an_instruction_in_front_is_refused() -> Non
     )
 
 
-def test_worker_that_drops_the_conditions_is_refused() -> None:
+def test_a_bundle_without_the_start_conditions_of_its_job_is_refused() -> None:
     leased = job_for(start_view=StartView(other_referents=(WALL_ID,)))
     assert "job.start_view: the bundle has None" in findings_of(parts_for(), leased)
 
@@ -205,7 +205,7 @@ SURFACE = {
 }
 
 
-def test_an_episode_by_surface_distance_has_no_findings_although_its_centroid_is_far() -> None:
+def test_an_episode_with_the_surface_measure_has_no_findings_although_the_centroid_is_far() -> None:
     parts = by_surface(parts_for(), max_contact_steps=0, target_in_view=True)
     target = chair().model_copy(update={"footprint_m": FOOTPRINT_M})
     assert validate(BundleReader(io.BytesIO(parts.write())), None, (target,)) == []
@@ -369,7 +369,7 @@ def test_only_the_frames_of_a_sample_are_decoded_and_each_of_them_is_checked() -
 
 
 @pytest.mark.parametrize("said", [0, 1])
-def test_a_sample_refuses_a_visibility_that_it_contradicts(said: int) -> None:
+def test_a_visibility_that_the_sampled_frames_contradict_is_refused(said: int) -> None:
     broken = BundleReader(io.BytesIO(parts_for().with_rollout(steps_visible=said).write()))
     assert f"steps_visible {said}, but" in "\n".join(validate(broken, scope=Scope.SAMPLE))
 
@@ -380,7 +380,7 @@ def test_progress_names_every_frame() -> None:
     assert seen == list(range(12))
 
 
-def test_held_robot_that_reports_contact_passes_motion_validation() -> None:
+def test_a_robot_that_is_held_in_place_and_reports_contact_passes_motion_validation() -> None:
     parts = parts_for()
     poses = np.repeat(parts.arrays.poses[:1], 12, axis=0)
     poses[:, 0] = 0.0225

@@ -55,7 +55,7 @@ def test_a_states_recording_is_validated_in_the_sandbox(validator: Validator, tm
     assert validator.check(path, job, (chair(),)).num_steps == 12
 
 
-def test_all_violations_cross_the_pipe(validator: Validator, tmp_path: Path) -> None:
+def test_all_violations_are_returned_by_the_validating_process(validator: Validator, tmp_path: Path) -> None:
     path = tmp_path / "x.part"
     path.write_bytes(parts_for().with_rollout(steps_visible=3, final_ne_m=9.0).write())
     with pytest.raises(InvalidBundle) as refused:
@@ -89,7 +89,7 @@ def test_zip_bomb_is_refused(validator: Validator, tmp_path: Path) -> None:
         validator.check(path, job_for())
 
 
-def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> None:
+def test_a_child_that_exceeds_its_time_limit_is_replaced_and_its_bundle_is_refused(bundle: Path) -> None:
     with Validator(limits=ValidatorLimits(wall_s=0.001)) as validator:
         with pytest.raises(InvalidBundle, match="2 validating processes died"):
             validator.check(bundle, job_for())
@@ -169,7 +169,7 @@ def test_a_known_digest_is_not_computed_again(validator: Validator, bundle: Path
     assert [isinstance(row, InvalidBundle) or row.file_sha256 == "a" * 64 for row in rows] == [True, False]
 
 
-def test_a_missing_file_does_not_affect_the_others_of_an_order(
+def test_a_missing_file_does_not_affect_the_other_bundles_of_an_order(
     validator: Validator, bundle: Path, tmp_path: Path
 ) -> None:
     first, missing, last = validator.check_all(
@@ -193,6 +193,8 @@ def test_the_bundles_of_an_order_whose_child_dies_are_validated_one_by_one(bundl
         assert child not in child_processes()
 
 
-def test_more_bundles_than_an_order_has_are_validated_in_several(validator: Validator, bundle: Path) -> None:
+def test_more_bundles_than_the_limit_of_an_order_are_validated_in_several_orders(
+    validator: Validator, bundle: Path
+) -> None:
     rows = validator.check_all([BundleFile(bundle, job_for())] * (MAX_TASKS + 1))
     assert rows == [validator.check(bundle, job_for())] * (MAX_TASKS + 1)

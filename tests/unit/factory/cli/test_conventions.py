@@ -151,7 +151,7 @@ def test_an_output_is_named_by_o_and_out_everywhere() -> None:
     assert {names for _, names in spelt} == {("-o", "--out")}
 
 
-def test_a_name_means_the_same_in_every_command() -> None:
+def test_options_of_the_same_name_are_declared_equally_in_every_command() -> None:
     kinds: dict[str, dict[tuple[object, ...], list[str]]] = defaultdict(lambda: defaultdict(list))
     for path, option in options():
         name = option.opts[-1]
@@ -167,7 +167,7 @@ def test_a_choice_is_one_of_the_printed_values() -> None:
     assert not [found for found in choices if any(type(value) is not str for value in found)]
 
 
-def test_a_number_of_things_is_plural_and_a_filter_is_singular() -> None:
+def test_names_of_repeatable_options_are_singular() -> None:
     filters = {option.opts[-1] for _, option in options() if option.multiple}
     assert not {name for name in filters if name.endswith("s") and name != "--address"}
 
@@ -209,7 +209,9 @@ def parsed(*words: str) -> dict[str, object]:
         (("run", "--out", "D"), ("run", "-o", "D")),
     ],
 )
-def test_a_former_spelling_sets_the_same(former: tuple[str, ...], now: tuple[str, ...]) -> None:
+def test_a_former_spelling_gives_the_same_arguments_as_the_current_spelling(
+    former: tuple[str, ...], now: tuple[str, ...]
+) -> None:
     assert parsed(*former) == parsed(*now)
 
 

@@ -269,7 +269,9 @@ def test_frame_dataset_with_a_stride_keeps_every_nth_frame(shared: Path) -> None
     assert [samples[n]["step"] for n in range(4)] == [0, 5, 10, 0]
 
 
-def test_a_batch_decoded_in_threads_is_the_samples_one_by_one(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_decoded_in_threads_has_the_samples_that_are_decoded_one_by_one(
+    shared: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(open_episodes, "MOST_OPEN", 1)  # three episodes are open while the batch is read
     one, many = (FrameDataset(Dataset(shared), with_ids=True, threads=threads) for threads in (1, 4))
     indices = [5, 30, 17, 5, 0, -1, 12]
@@ -283,7 +285,7 @@ def test_a_batch_decoded_in_threads_is_the_samples_one_by_one(shared: Path, monk
         assert np.shares_memory(batch[number]["rgb"], batch.images["rgb"])
 
 
-def test_collation_makes_what_torchs_own_makes(shared: Path) -> None:
+def test_collation_gives_the_batch_of_the_default_collation_of_torch(shared: Path) -> None:
     torch = pytest.importorskip("torch")
     batch = FrameDataset(Dataset(shared), with_ids=True).__getitems__([3, 20, 14])
     theirs = torch.utils.data.default_collate(list(batch))

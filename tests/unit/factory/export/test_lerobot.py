@@ -201,7 +201,7 @@ def test_statistics_are_those_of_the_values(everything: Path) -> None:
     assert np.ravel(whole[IDS]["max"]) == [7.0]
 
 
-def test_version_2_1_has_one_file_an_episode(older: Path) -> None:
+def test_version_2_1_has_one_file_for_each_episode(older: Path) -> None:
     info = info_of(older)
     assert (info["codebase_version"], info["fps"], info["total_videos"], info["total_chunks"]) == ("v2.1", 30, 4, 1)
     lines = [json.loads(line) for line in (older / "meta/episodes.jsonl").read_text().splitlines()]

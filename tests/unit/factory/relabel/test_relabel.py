@@ -129,7 +129,7 @@ def test_the_draw_of_targets_is_refused_for_recorded_episodes(source, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_language_file_that_no_target_can_satisfy_names_what_is_possible(source, tmp_path):
+def test_the_error_of_a_language_file_that_no_target_satisfies_names_the_possible_values(source, tmp_path):
     only_support = LanguageSpec(features={str(each): 0.0 for each in Family if each is not Family.SUPPORT})
     with pytest.raises(
         InvalidLanguage,

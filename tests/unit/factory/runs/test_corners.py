@@ -49,6 +49,6 @@ def test_the_share_is_that_of_points_whose_path_is_longer_than_the_straight_line
     assert corner_shares(planner, {"room": entry}) == {"room": pytest.approx(bent, abs=0.03)}
 
 
-def test_screened_starts_need_no_corner_and_other_tiers_have_no_far_starts(entry: SceneEntry) -> None:
+def test_the_share_of_corners_is_zero_for_screened_starts_and_missing_without_far_starts(entry: SceneEntry) -> None:
     assert corner_shares(far_plan(Screening.FORESEEN), {"room": entry}) == {"room": 0.0}
     assert corner_shares(far_plan(tier=Tier.NEAR), {"room": entry}) == {}

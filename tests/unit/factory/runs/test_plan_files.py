@@ -39,7 +39,7 @@ def test_an_invalid_target_list_is_named_without_the_command_for_a_new_one(tmp_p
     assert "before that" not in str(caught.value)
 
 
-def test_a_scene_that_a_dataset_holds_and_a_built_in_one_need_no_files(tmp_path: Path) -> None:
+def test_a_scene_of_the_dataset_and_a_built_in_scene_need_no_files(tmp_path: Path) -> None:
     require_files(plan_in(tmp_path), kept=["lab"])
     require_files(BUILTIN_PLANS["paper"])
 

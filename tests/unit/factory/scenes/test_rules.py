@@ -89,7 +89,7 @@ def test_indoor_objects_of_the_usual_datasets_have_a_category(name: str) -> None
     assert RULES.match(name) is not None
 
 
-def test_one_name_has_the_rules_of_all_its_shapes() -> None:
+def test_a_name_can_match_rules_for_objects_of_different_shapes() -> None:
     assert [rule.category for rule in RULES.matches("BedsideTable")] == ["nightstand", "table"]
 
 

@@ -110,7 +110,7 @@ def test_the_largest_object_of_the_category_is_found_and_only_possible_targets_c
     assert counted(all_of([larger]).largest_of_category) == (1, 1)
 
 
-def test_a_target_that_is_not_of_the_named_category_has_no_chance_of_a_random_choice() -> None:
+def test_a_random_choice_cannot_select_a_target_that_is_not_of_the_named_category() -> None:
     target, chair = SeenObject(7, 1.0, 0.0, 50), SeenObject(8, 2.0, 0.1, 50)
     of_another_category = replace(view((target, chair)), of_category=frozenset({8, 12}))
     alone = replace(view((target,)), of_category=frozenset({8, 12}))
@@ -124,7 +124,7 @@ def test_an_instruction_is_ambiguous_in_the_scene_and_in_view() -> None:
     assert (counted(row.several_in_scene), counted(row.several_in_view)) == ((3, 4), (1, 4))
 
 
-def test_a_start_is_contradictory_if_another_of_the_category_is_in_view_and_the_target_is_not() -> None:
+def test_a_start_is_contradictory_if_only_other_objects_of_the_category_are_in_view() -> None:
     target, chair, plant = (SeenObject(number, 1.0, 0.0, 50) for number in (7, 8, 9))
     row = all_of([view((target, chair)), view((chair,)), view((plant,)), view(())])
     assert counted(row.contradictory) == (1, 4)
@@ -226,7 +226,7 @@ def test_a_damaged_episode_and_a_missing_scene_are_reported(tmp_path: Path, monk
     assert measure_language(tmp_path / "data").read == 1
 
 
-def test_the_report_shows_the_same_shares(data: Path) -> None:
+def test_the_report_shows_the_shares_of_the_language_statistics(data: Path) -> None:
     files, _ = render_report(gather(data), draw_functions=(language.draw,))
     page = files[PAGE_FILE].decode().replace("\u00a0", " ")
     assert "Shares of 4 episodes with 95 % Wilson intervals; 2 distinct instructions." in page

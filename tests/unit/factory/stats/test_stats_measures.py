@@ -69,7 +69,7 @@ def test_correlation_agrees_with_scipy() -> None:
     assert (fit.slope, fit.slope_error) == (pytest.approx(line.slope), pytest.approx(line.stderr))
 
 
-def test_fisher_interval_of_the_papers_numbers_is_the_papers() -> None:
+def test_the_fisher_interval_of_the_published_correlation_is_the_published_interval() -> None:
     rng = np.random.default_rng(2)
     x, noise = rng.normal(size=1174), rng.normal(size=1174)
     noise -= noise.mean() + (noise @ (x - x.mean())) / ((x - x.mean()) @ (x - x.mean())) * (x - x.mean())
@@ -88,7 +88,7 @@ def test_fewer_than_three_episodes_give_no_correlation_and_a_note(count: int) ->
     assert fit.remark == f"a fit needs at least 3 episodes, the group has {count}"
 
 
-def test_three_episodes_leave_the_interval_open() -> None:
+def test_the_interval_of_three_episodes_contains_all_correlations() -> None:
     fit = fit_line("far", [1.0, 2.0, 3.0], [1.0, 3.0, 2.0])
     assert (fit.low, fit.high) == (-1.0, 1.0)
 

@@ -46,7 +46,7 @@ def test_a_traceback_shows_no_local_variable(lines: io.StringIO) -> None:
 
 
 @pytest.mark.parametrize("value", ["x" * 1_000_000, b"x" * 1_000_000, ["x" * 9] * 100_000, {"x": "y" * 100_000}])
-def test_a_field_is_bounded_whatever_it_is(lines: io.StringIO, value: object) -> None:
+def test_the_length_of_a_logged_field_is_bounded_for_any_value(lines: io.StringIO, value: object) -> None:
     structlog.get_logger("test").warning("told", value=value)
     assert len(lines.getvalue()) < 2 * MAX_FIELD_CHARS
 

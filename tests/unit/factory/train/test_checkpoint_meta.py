@@ -32,7 +32,7 @@ def meta(**changes: object) -> CheckpointMeta:
     return CheckpointMeta.model_validate(values | changes)
 
 
-def test_metadata_survives_its_file() -> None:
+def test_metadata_is_read_back_from_json() -> None:
     assert parse_meta(meta(epochs_done=2).model_dump_json(), PATH) == meta(epochs_done=2)
 
 

@@ -43,7 +43,7 @@ def test_mask_is_the_share_of_each_block() -> None:
     assert mask.sum() == 128
 
 
-def test_input_is_bounded_and_nearer_is_greater() -> None:
+def test_the_input_is_bounded_and_greater_for_nearer_surfaces() -> None:
     rgb = np.stack([np.zeros((64, 64, 3), np.uint8), np.full((64, 64, 3), 255, np.uint8)])
     depth = np.stack([np.full((64, 64), 1000, np.uint16), np.full((64, 64), 4000, np.uint16)])
     pictures = to_input(rgb, depth)

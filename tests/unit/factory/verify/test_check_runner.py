@@ -46,7 +46,7 @@ def test_many_episodes_of_states_use_every_core(row: EpisodeSummary) -> None:
     assert useful_processes(checks(row, 2000, 30_000), cores=8) == 8
 
 
-def test_each_rendered_episode_is_worth_a_process(row: EpisodeSummary) -> None:
+def test_rendered_episodes_use_one_process_each_up_to_the_number_of_cores(row: EpisodeSummary) -> None:
     assert useful_processes(checks(row, 3, 30_000, deep=False, render=True), cores=8) == 3
     assert useful_processes(checks(row, 20, 30_000, deep=False, render=True), cores=8) == 8
 

@@ -65,7 +65,7 @@ def test_whole_dataset_has_no_findings(pristine: Path, deep: bool) -> None:
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
-def test_several_processes_find_the_same(data: Path) -> None:
+def test_several_processes_report_the_findings_of_one_process(data: Path) -> None:
     with (data / EPISODE).open("ab") as file:
         file.write(b"x")
     edit_row(data, 2, final_ne_m=0.5)

@@ -31,7 +31,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.mark.parametrize("descending", [False, True])
 @pytest.mark.parametrize("column", SORTED)
-def test_every_column_sorts_as_its_values_do(dataset, column, descending):
+def test_sorting_by_a_column_gives_the_order_of_its_values(dataset, column, descending):
     found = EpisodeTable(dataset).select(TableQuery(sort=column, descending=descending))
     values = [dataset.column(column)[int(row)].as_py() for row in found]
     assert values == sorted(values, reverse=descending)

@@ -64,5 +64,5 @@ def test_an_unknown_name_gets_the_closest_one() -> None:
         load_appearance("varid")
 
 
-def test_none_is_the_scene_as_it_was_compiled() -> None:
+def test_the_name_none_means_no_appearance() -> None:
     assert find_appearance("none") is None

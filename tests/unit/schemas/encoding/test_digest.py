@@ -19,17 +19,17 @@ def test_digest_of_a_frame_is_pinned() -> None:
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
-def test_every_modality_counts(which: int) -> None:
+def test_every_modality_changes_the_digest(which: int) -> None:
     images = [RGB.copy(), DEPTH.copy(), IDS.copy()]
     images[which][0, 0] = 7
     assert frame_digest(*images) != frame_digest(RGB, DEPTH, IDS)  # type: ignore[arg-type]
 
 
-def test_memory_layout_does_not_count() -> None:
+def test_memory_layout_does_not_change_the_digest() -> None:
     assert frame_digest(np.asfortranarray(RGB), DEPTH, IDS) == frame_digest(RGB, DEPTH, IDS)
 
 
-def test_frames_arrays_and_metadata_all_count() -> None:
+def test_frames_arrays_and_metadata_change_the_digest() -> None:
     base = content_digest(["aa", "bb"], [DEPTH], "{}")
     assert base != content_digest(["bb", "aa"], [DEPTH], "{}")
     assert base != content_digest(["aa", "bb"], [DEPTH + 1], "{}")

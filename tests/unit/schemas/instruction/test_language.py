@@ -16,7 +16,7 @@ from schemas.instruction.language import (
 from schemas.terms import CATEGORIES, Split
 
 
-def test_there_are_eighteen_and_twelve_templates() -> None:
+def test_there_are_18_training_templates_and_12_paraphrased_templates() -> None:
     assert (len(TRAIN_TEMPLATES), len(OOD_TEMPLATES)) == (18, 12)
     assert len(set(TEMPLATES.values())) == 30
 

@@ -34,7 +34,7 @@ def _findings(view: StartView, *shown: int, bearing_deg: float = 0.0, pixels: in
         (
             StartView(other_referents=(RIVAL,)),
             (TARGET, RIVAL),
-            "objects [5] are in view, which the instruction fits as well",
+            "objects [5] are in view, and the instruction fits them as well",
         ),
         (StartView(other_referents=(RIVAL,)), (OTHER,), "the target is not in view"),
         (StartView(other_referents=(RIVAL,)), (), "the target is not in view"),
@@ -81,7 +81,7 @@ def test_an_object_with_too_few_pixels_is_not_in_view():
 
 
 @pytest.mark.parametrize("view", [StartView(other_referents=(RIVAL,)), StartView(within_rad=0.5)])
-def test_the_target_is_required_in_view_where_only_it_may_be_meant(view):
+def test_the_target_must_be_in_view_if_no_other_object_may_be_meant(view):
     assert view.shows_target
     assert not StartView(same_category=(RIVAL,)).shows_target
 

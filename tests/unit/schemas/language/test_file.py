@@ -53,7 +53,7 @@ def test_each_mistake_is_named(tmp_path, text, fault):
 @pytest.mark.parametrize(
     ("reference", "fault"), [("none.toml", "no such file"), (".", "that is a directory"), ("a\0b", "NUL")]
 )
-def test_a_file_that_does_not_exist_is_a_wrong_usage(reference, fault):
+def test_a_missing_language_file_is_a_usage_error(reference, fault):
     with pytest.raises(UsageError, match=fault):
         load_language(reference)
 

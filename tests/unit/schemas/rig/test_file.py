@@ -57,7 +57,7 @@ def test_nova_carter_has_a_stereo_pair_four_fisheyes_and_three_lidars():
     assert len(lidar.elevations_deg) == 32
 
 
-def test_a_file_without_a_name_has_that_of_the_file(tmp_path: Path):
+def test_a_rig_without_a_name_has_the_name_of_its_file(tmp_path: Path):
     path = tmp_path / "mine.toml"
     path.write_text(CAMERA)
     assert load_rig(str(path)).name == "mine"

@@ -32,7 +32,7 @@ def start() -> Iterator[Start]:
         process.kill()
 
 
-def test_each_line_that_is_sent_can_be_answered_with_one(start: Start) -> None:
+def test_each_sent_line_can_be_answered_with_a_line(start: Start) -> None:
     process = start("import sys\nfor line in sys.stdin: print(line.upper(), end='')")
     for line in (b"one\n", b"two\n"):
         process.send(line)
@@ -46,7 +46,7 @@ def test_lines_that_are_not_messages_are_skipped(start: Start) -> None:
         process.read(LONG_S)
 
 
-def test_noise_without_end_does_not_outlast_the_timeout(start: Start) -> None:
+def test_reading_ends_at_the_timeout_during_endless_noise(start: Start) -> None:
     process = start("while True: print('noise')", parse=lambda line: None)
     assert process.read(0.5) is None
 

@@ -22,7 +22,7 @@ def mix(*gains: float, kelvin: float = LAMP_K, sky: float = 1.0, adaptation: flo
     return LightMix(lamps=lamps, sky=LampLight(gain=sky, temperature_k=SKY_K), adaptation=adaptation)
 
 
-def test_lamps_are_grouped_by_place_and_windows_apart() -> None:
+def test_lamps_are_grouped_by_place_and_windows_are_a_separate_group() -> None:
     groups = room_light().info.groups
     assert [group.kind for group in groups] == ["lamps", "lamps", "windows", SCREENS]
     assert groups[0].centre_m[0] == pytest.approx(-2.0, abs=0.1)
@@ -68,7 +68,7 @@ def test_adaptation_keeps_a_room_with_little_light_visible() -> None:
     assert adapted.mean() == pytest.approx(room.mean(), rel=0.1)
 
 
-def test_the_file_of_light_groups_reads_back_and_refuses_other_shares() -> None:
+def test_light_groups_are_read_back_from_their_file_and_shares_with_another_sum_are_refused() -> None:
     light = room_light()
     data = encode_light_groups(light)
     found = decode_light_groups(io.BytesIO(data))

@@ -10,7 +10,7 @@ from schemas.protocol.messages import HostMemory
 from workers.client.memory import read_memory
 
 
-def test_used_memory_excludes_what_programs_can_get(tmp_path: Path) -> None:
+def test_used_memory_excludes_available_memory(tmp_path: Path) -> None:
     (tmp_path / "meminfo").write_text(
         "MemTotal:   1000 kB\nMemFree:  100 kB\nMemAvailable:   400 kB\nHugePages_Total: 0\n"
     )
@@ -18,7 +18,7 @@ def test_used_memory_excludes_what_programs_can_get(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "MemTotal: many kB\n", "MemTotal:\n", "MemTotal: 5 kB\n", "\xff"])
-def test_a_system_that_reports_no_memory_has_none(tmp_path: Path, text: str) -> None:
+def test_memory_is_unknown_if_the_system_does_not_report_it(tmp_path: Path, text: str) -> None:
     (tmp_path / "meminfo").write_text(text, encoding="latin-1")
     assert read_memory(tmp_path / "meminfo") is None
     assert read_memory(tmp_path / "missing") is None

@@ -103,7 +103,7 @@ def test_two_threads_fetch_one_scene_once(tmp_path):
     assert len(source.asked) == 1
 
 
-def test_scene_used_longest_ago_is_evicted(tmp_path):
+def test_the_least_recently_used_scene_is_evicted(tmp_path):
     old, middle, new = (Source(letter * 400) for letter in (b"a", b"b", b"c"))
     cache = SceneCache(tmp_path, 1000)
     for age, source in ((300, old), (200, middle)):

@@ -65,7 +65,7 @@ def test_speed_is_capped_but_not_zero_near_an_obstacle():
     assert make_expert(make_job()).act(seen(near=True)).v_mps == pytest.approx(0.1)
 
 
-def test_the_literal_law_stops_when_the_surface_is_one_radius_away():
+def test_the_paper_literal_expert_stops_when_the_surface_is_one_radius_away():
     expert = make_expert(make_job(ExpertName.PAPER_LITERAL))
     assert expert.act(seen(distance=1.3, target_mask=MaskMeasures(500, 320.0, lambda: 1.0))).v_mps == 0.0
     assert expert.act(seen(distance=3.3, target_mask=MaskMeasures(500, 320.0, lambda: 2.0))).v_mps == pytest.approx(0.7)

@@ -11,7 +11,7 @@ from schemas.rig.file import load_rig
 from workers.geometry.faces import plan_faces
 
 
-def test_cameras_with_one_lens_share_a_plan():
+def test_cameras_with_equal_lenses_share_a_plan_of_faces():
     one, *others = [camera for camera in load_rig("nova-carter").cameras if isinstance(camera, FisheyeCamera)]
     assert len(others) == 3
     assert all(plan_faces(other) is plan_faces(one) for other in others)

@@ -33,7 +33,7 @@ def test_a_result_is_computed_once_for_each_grid_and_argument() -> None:
     assert computed == [1.0, 1.0, 3.0]
 
 
-def test_the_result_that_was_not_used_for_longest_is_freed_before_another_is_computed() -> None:
+def test_the_least_recently_used_result_is_freed_before_another_result_is_computed() -> None:
     alive: list[int] = []
     results: list[weakref.ref[Result]] = []
 

@@ -61,7 +61,7 @@ def test_a_corner_is_not_cut():
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_a_turn_on_the_spot_goes_the_planned_way_round(way):
+def test_a_turn_on_the_spot_has_the_planned_direction(way):
     """The robot turns by 200 degrees, although 160 degrees in the other direction would suffice."""
     turn = [Waypoint(0.0, 0.0, math.radians(way * 10 * step)) for step in range(21)]
     yaw = turn[-1].yaw

@@ -130,7 +130,7 @@ def test_a_path_to_a_footprint_ends_within_a_metre_of_the_nearest_side():
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.6, 0.0, 1.6])
-def test_a_path_that_faces_the_target_ends_with_it_ahead_and_turns_on_the_spot_outside_of_the_circle(yaw):
+def test_a_path_that_faces_the_target_ends_with_the_target_ahead_and_turns_only_outside_of_the_circle(yaw):
     scene = box_room([WALL])
     crate, start = crate_of(scene), START._replace(yaw=yaw)
     path = plan_path(Grid.from_scene(scene), start, crate, TaskConfig(), CONFIG, facing=True)

@@ -37,5 +37,5 @@ def test_the_nearest_part_comes_first() -> None:
     assert seen([cube(3, 0), cube(1, 0), cube(2, 0)]) == [1, 2, 0]
 
 
-def test_a_floor_comes_after_what_stands_on_it() -> None:
+def test_a_floor_is_drawn_after_the_objects_on_it() -> None:
     assert seen([Box((-4, -4, -0.1), (4, 4, 0.0)), cube(2, 0), cube(0.5, 0)]) == [2, 1, 0]

@@ -38,7 +38,7 @@ def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
         (Box((-2.0, -0.5, 0.0), (-1.5, 0.5, 1.0)), False),  # behind the camera
     ],
 )
-def test_only_what_is_wholly_behind_a_wall_is_hidden(box: Box, is_hidden: bool) -> None:
+def test_only_parts_that_are_wholly_behind_a_wall_are_hidden(box: Box, is_hidden: bool) -> None:
     scene = build_scene([WALL, box, Box((5.0, -9.0, 0.0), (5.1, 9.0, 3.0))])
     assert (2 in hidden_in(scene)) == is_hidden
     assert 1 not in hidden_in(scene)

@@ -62,7 +62,7 @@ def test_clearing_closes_everything() -> None:
     assert all(prepared.is_closed for prepared in kept)
 
 
-def test_room_is_made_before_the_next_scene_is_read() -> None:
+def test_make_room_frees_the_oldest_scene_of_a_full_cache_before_the_next_scene_is_read() -> None:
     cache, (a, b) = PreparedSceneCache(Prepared, capacity=2), scenes(2)
     prepared_a, prepared_b = take(cache, a), take(cache, b)
     cache.make_room()

@@ -32,7 +32,7 @@ def test_each_part_of_the_key_gives_other_numbers(other: NoiseKey) -> None:
     assert np.mean(KEY.bits(Effect.RANGE, 4000) == other.bits(Effect.RANGE, 4000)) < 0.01
 
 
-def test_each_effect_and_each_step_has_numbers_that_no_other_has() -> None:
+def test_each_effect_and_each_step_has_different_numbers() -> None:
     drawn = np.array([KEY.bits(effect, 400, step) for effect in Effect for step in (0, 1, 2)])
     assert len(np.unique(drawn, axis=0)) == len(drawn)
     assert np.abs(np.corrcoef(drawn) - np.eye(len(drawn))).max() < 0.3
@@ -60,7 +60,7 @@ def test_normal_values_have_mean_0_variance_1_and_the_kurtosis_of_the_normal_dis
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 1.0])
-def test_a_share_of_the_values_is_below(share: float) -> None:
+def test_is_below_is_true_for_the_given_share_of_values(share: float) -> None:
     count = 200_000
     found = KEY.is_below(share, Effect.RAY_DROPOUT, count).mean()
     assert found == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / count) + 1 / LEVELS)

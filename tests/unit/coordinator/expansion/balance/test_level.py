@@ -51,7 +51,7 @@ def _categories(plan: Plan, **conditions: object) -> Counter[str]:
     return Counter(s.category for s in specs if all(getattr(s, key) == value for key, value in conditions.items()))
 
 
-def test_balanced_has_equal_categories_over_all_scenes_and_in_every_split():
+def test_the_plan_balanced_has_equal_categories_over_all_scenes_and_in_every_split():
     counts = _categories(BALANCED)
     assert sorted(counts.values()) == [30] * 4 + [135] * 8
     assert sum(count for _, count in counts.most_common(3)) <= 0.35 * BALANCED.episodes
@@ -59,7 +59,7 @@ def test_balanced_has_equal_categories_over_all_scenes_and_in_every_split():
         assert len(set(_categories(BALANCED, split=split).values())) == 1
 
 
-def test_every_scene_of_balanced_names_each_of_its_categories_in_training():
+def test_every_scene_of_the_plan_balanced_has_each_of_its_categories_in_training():
     for scene in BALANCED.scenes:
         assert set(_categories(BALANCED, scene=scene.name, split=Split.TRAIN_ID)) == set(scene.categories.seen)
 
@@ -81,7 +81,7 @@ def test_levelling_keeps_the_exact_quota_of_every_cell():
         assert of_scene == cells(plan, scene)
 
 
-def test_a_category_that_one_scene_only_has_is_drawn_there_and_the_others_elsewhere():
+def test_categories_that_only_one_scene_has_are_drawn_in_this_scene_and_shared_categories_in_other_scenes():
     train = {Split.TRAIN_ID: 1.0}
     scenes = (
         ScenePlan(name="office", episodes=30, seen=("chair", "sofa", "table")),

@@ -60,7 +60,7 @@ def test_a_row_is_what_sqlalchemy_returns(engine):
         assert PreparedStatement(query).first(connection, {}) == tuple(connection.execute(query).one())
 
 
-def test_a_numbered_key_is_left_to_the_database(engine):
+def test_the_database_assigns_autoincremented_keys(engine):
     with engine.begin() as connection:
         line = {"at": 1.0, "job_id": 3, "event": "claimed", "state": "leased", "attempt": 1, "fence": 1, "sid": ""}
         for _ in range(2):

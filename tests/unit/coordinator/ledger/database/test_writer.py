@@ -114,7 +114,7 @@ def test_closing_commits_what_is_queued_and_refuses_what_follows(engine):
     writer.close()
 
 
-def test_a_database_that_cannot_commit_answers_unknown_and_works_again_later(engine, tmp_path):
+def test_a_failed_commit_raises_a_transient_error_and_later_requests_succeed(engine, tmp_path):
     with Writer(engine) as writer:
         writer.call(lambda connection: connection.exec_driver_sql("PRAGMA max_page_count=1") and None)
         big = put("big")

@@ -81,7 +81,7 @@ def test_categories_are_counted_most_frequent_first() -> None:
     assert found.three_largest_share == 1.0
 
 
-def test_every_template_has_a_row_and_colour_ones_the_papers_zero() -> None:
+def test_every_template_has_a_row_and_the_published_count_of_colour_templates_is_zero() -> None:
     found = measure([episode_row(1, template_id="train_06")])
     assert [row.group for row in found.templates] == list(TEMPLATES)
     row = row_of(found.templates, "train_06")
@@ -148,7 +148,7 @@ def test_far_starts_are_measured_along_the_floor_to_the_centroid_of_the_target()
     assert (everything.n, everything.short.count, everything.corner.share) == (4, 2, 0.5)
 
 
-def test_far_starts_are_short_below_the_distance_of_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
+def test_far_starts_below_the_distance_of_the_plan_are_counted_as_short(capsys: pytest.CaptureFixture[str]) -> None:
     spawn = two_scenes().spawn.model_copy(update={"far_floor_m": (4.0, 6.0)})
     far = [episode_row(n, spawn_tier=Tier.FAR, geodesic_m=length) for n, length in enumerate((2.5, 3.5, 4.5), 1)]
     found = measure(far, plan=two_scenes().model_copy(update={"spawn": spawn}))
@@ -157,7 +157,7 @@ def test_far_starts_are_short_below_the_distance_of_the_plan(capsys: pytest.Capt
     assert "below 4 m" in capsys.readouterr().out
 
 
-def test_far_starts_need_a_corner_if_their_path_is_longer_than_the_line_of_the_success_measure() -> None:
+def test_the_path_of_a_far_start_has_a_corner_if_it_is_longer_than_the_straight_line() -> None:
     by_surface = two_scenes().model_copy(update={"task": TaskConfig(success=SuccessMeasure.SURFACE)})
     row = episode_row(spawn_tier=Tier.FAR, spawn_dist_m=6.0, spawn_surface_m=5.0, final_surface_m=0.9, geodesic_m=4.0)
     (found, *_) = measure([row], plan=by_surface).far

@@ -25,7 +25,7 @@ def test_a_directory_that_cannot_be_read_is_an_error_with_a_remedy(
         begin("demo", site_of(str(tmp_path)), {})
 
 
-def test_a_new_directory_is_new_and_one_within_a_dataset_is_refused(tmp_path: Path) -> None:
+def test_a_run_in_a_new_directory_is_new_and_a_directory_within_a_dataset_is_refused(tmp_path: Path) -> None:
     assert begin("demo", site_of(str(tmp_path / "new")), {}).is_new
     (tmp_path / "dataset_meta.json").write_text("{}")
     with pytest.raises(UsageError, match=f"is inside the dataset {tmp_path}"):

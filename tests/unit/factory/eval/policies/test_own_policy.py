@@ -94,7 +94,7 @@ def test_a_users_class_cannot_declare_itself_privileged(folder: Path) -> None:
         make_policy("oracle_pilot:Oracle", PolicyLimits())
 
 
-def test_names_of_a_users_class_declare_nothing(folder: Path) -> None:
+def test_attributes_of_a_users_class_do_not_change_its_declared_inputs(folder: Path) -> None:
     (folder / "named_pilot.py").write_text(NAMES)
     policy = make_policy("named_pilot:Pilot", PolicyLimits())
     assert uses_camera(policy)

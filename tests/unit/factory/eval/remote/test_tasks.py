@@ -37,7 +37,7 @@ def plan_for(campaign: Campaign, drives: Dataset) -> Plan:
     return plan_of(campaign, drives.meta.plan, number_tasks(campaign), attachments_of(campaign))
 
 
-def test_tasks_of_all_policies_are_numbered_alike_every_time(campaign: Campaign) -> None:
+def test_the_numbers_of_the_tasks_of_all_policies_are_reproducible(campaign: Campaign) -> None:
     tasks = number_tasks(campaign)
     assert [(index, task.number, task.policy) for index, task in tasks.items()] == [(1, 1, "stop"), (2, 2, "replay")]
     assert tasks == number_tasks(campaign)

@@ -27,7 +27,7 @@ def test_each_kind_of_failure_is_reported_once_with_its_first_message() -> None:
     ]
 
 
-def test_failures_under_ablated_instructions_count_and_world_failures_do_not() -> None:
+def test_policy_failures_under_ablated_instructions_are_reported_and_collisions_are_not() -> None:
     rows = [
         result_of(1, success=False, end=EvalEnd.COLLISION),
         result_of(1, success=False, end=EvalEnd.POLICY_HUNG, variant=Variant.EMPTY, instruction=""),

@@ -40,13 +40,13 @@ def test_times_are_whole_nanoseconds_that_never_drift():
     assert [stamp_of(t, 60) for t in (0, 1, 3, 60, 999)] == [0, 16_666_666, 50_000_000, 10**9, 16_650_000_000]
 
 
-def test_the_camera_frame_is_the_renderers():
+def test_the_optical_frame_is_that_of_the_renderer():
     camera = CameraConfig()
     optical = optical_pose(Pose(0, 0, 0, 1, 0, 0, 0), camera)
     np.testing.assert_allclose(Rotation.from_quat(OPTICAL_FROM_BASE).as_matrix(), optical.rotation, atol=1e-12)
 
 
-def test_the_calibration_is_the_renderers_with_pixel_centres_on_whole_numbers():
+def test_the_calibration_is_that_of_the_renderer_with_pixel_centres_on_whole_numbers():
     camera = CameraConfig(fov_deg=70.0)
     expected = intrinsics(camera, 640) - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     said = calibration(camera)

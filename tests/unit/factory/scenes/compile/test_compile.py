@@ -150,7 +150,7 @@ def test_glass_is_solid_but_not_rendered(tmp_path: Path) -> None:
     assert Grid.from_scene(scene).clearance_at((-1.5, 0.05)) < 0.1
 
 
-def test_the_top_down_picture_has_a_pixel_block_a_cell(tmp_path: Path) -> None:
+def test_the_top_down_picture_has_a_block_of_pixels_for_each_cell(tmp_path: Path) -> None:
     scene = room(tmp_path)
     picture = draw_topdown(scene, pixels_per_cell=2)
     assert picture.shape == (2 * scene.occupancy.shape[0], 2 * scene.occupancy.shape[1], 3)

@@ -35,7 +35,7 @@ def test_the_nearest_neighbour_of_a_layout_is_the_most_similar_one() -> None:
     assert nearest[7][1] > nearest[4][1] > 0.0
 
 
-def test_spreads_are_over_the_layouts() -> None:
+def test_a_spread_summarises_a_measure_over_all_layouts() -> None:
     layouts = [
         LayoutFacts(seed, rooms, 80.0, 40.0, 1, 3, 20, 50, 9.0, 6.0, 4.0) for seed, rooms in ((0, 5), (1, 7), (5, 9))
     ]
@@ -46,7 +46,7 @@ def test_spreads_are_over_the_layouts() -> None:
     assert spreads([]) == {}
 
 
-def test_a_survey_is_of_one_scene_or_of_one_family() -> None:
+def test_a_survey_requires_either_a_scene_or_a_family() -> None:
     for arguments in ([], ["office", "--family", "office"]):
         outcome = CliRunner().invoke(command, arguments)
         assert outcome.exit_code == 2

@@ -143,5 +143,5 @@ def test_a_bed_needs_a_plausible_size_and_may_be_named_by_a_synonym(tmp_path: Pa
     assert sorted(found(tmp_path, body)) == [("BunkBed", "bed"), ("Fridge", "refrigerator"), ("TV_01", "television")]
 
 
-def test_a_name_that_fits_a_later_rule_only_by_shape_gets_its_category(tmp_path: Path) -> None:
+def test_a_name_that_fits_only_a_later_rule_by_shape_gets_the_category_of_this_rule(tmp_path: Path) -> None:
     assert found(tmp_path, TEXT.box("BedsideTable", (0, 0, 0), (1.8, 0.6, 0.7))) == [("BedsideTable", "table")]

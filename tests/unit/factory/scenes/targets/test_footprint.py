@@ -24,7 +24,7 @@ def test_a_turned_table_has_its_four_corners_counter_clockwise() -> None:
     assert area == pytest.approx(4.0)
 
 
-def test_a_board_without_thickness_has_two_vertices_and_a_pole_one() -> None:
+def test_a_board_without_thickness_has_two_vertices_and_a_pole_has_one_vertex() -> None:
     assert set(footprint_of(triangles_of((1.0, 0.0), (1.0, 2.0), (1.0, 0.5)))) == {(1.0, 0.0), (1.0, 2.0)}
     assert footprint_of(triangles_of((1.0, 0.5), (1.0, 0.5), (1.0, 0.5))) == ((1.0, 0.5),)
 

@@ -154,7 +154,7 @@ def test_the_screen_of_a_till_may_be_taken_for_a_monitor_and_a_pile_without_cate
 
 @pytest.mark.parametrize("family", [Family.MATERIAL, Family.STATE, Family.COUNT])
 @pytest.mark.parametrize("code", LANGUAGES)
-def test_the_verifier_accepts_what_is_written_in_every_language_and_nothing_more(code, family):
+def test_the_verifier_accepts_a_written_phrase_of_every_language_only_for_its_target(code, family):
     scene, source, rng, written = canteen(), grammar(code), np.random.default_rng(0), 0
     patterns = [each for each in source.sentences if each.case != "bare"]
     for name in _TABLES:

@@ -21,7 +21,7 @@ SENTENCE = {
 
 @pytest.mark.parametrize("code", LANGUAGES)
 @pytest.mark.parametrize("kind", MistakeKind)
-def test_errors_are_seeded_and_leave_one_difference(code, kind):
+def test_mistakes_depend_on_the_seed_and_make_one_difference(code, kind):
     words, clean = reader(code).vocabulary, SENTENCE[code]
     made = [with_mistake(clean, kind, code, words, np.random.default_rng(seed)) for seed in range(20)]
     assert made == [with_mistake(clean, kind, code, words, np.random.default_rng(seed)) for seed in range(20)]
@@ -47,7 +47,7 @@ def test_errors_are_seeded_and_leave_one_difference(code, kind):
         ("Go the red chair.", MistakeKind.SPEECH, "a filler or a repetition"),
     ],
 )
-def test_any_other_difference_is_refused(text, kind, fault):
+def test_a_text_that_differs_by_more_than_the_stated_mistake_is_refused(text, kind, fault):
     found = mistake_fault(text, "Go to the red chair.", kind, "en", reader("en").vocabulary)
     assert fault in found if fault else found == ""
 
