@@ -134,7 +134,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Returns the path of the file of a texture, whether or not it is stored yet."""
 
     def sweep_textures(self, needed: Collection[str]) -> None:
-        """Deletes leftovers of interruptions: the textures whose SHA-256 is not in `needed`."""
+        """Deletes the textures whose SHA-256 is not in `needed`; an interruption can leave such textures."""
 
     def replacing(self, name: str) -> AbstractContextManager[Path]:
         """Yields a part file, which replaces a table of the dataset if the block exits without an error.

@@ -23,8 +23,8 @@ from schemas.protocol.messages import MAX_KNOWN_TEXTURES, BuildOrder
 from schemas.terms import FailReason
 
 _AFTER_EPISODES = 1.0
-"""Due time of a build, seconds since 1970. The due time of a job without a failed attempt is 0. Therefore workers
-simulate episodes in the built layouts first, and build other layouts when no such job is left."""
+"""Due time of a build, seconds since 1970. It is later than 0, the due time of an episode without a failed attempt, so
+workers build layouts only when the episodes of the built layouts are done."""
 
 
 class BuildRow(Protocol):

@@ -22,7 +22,7 @@ from schemas.support.planar import yaw_of
 EMPTY_SLACK_SHARE = 0.001
 """Tolerated share of pixels with depth but no id, or an id but no depth. Two passes may rasterise differently."""
 FROZEN_DEPTH = (0.005, 0.005)
-"""Motion (metres, radians) after which depth must differ. Much less motion changes the float32 depth of a surface."""
+"""Motion (metres, radians) after which depth must differ. Even much smaller motions change float32 depth."""
 FROZEN_COLOUR = (0.15, 0.10)
 """Motion (metres, radians) after which colour must differ. In front of a plain wall, it stays equal for a while."""
 DEPTH_SLACK_M = 1e-3

@@ -43,10 +43,12 @@ PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
 TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.10, 0.10
 """Tolerance (radians, share) of the turned angle in a window without contact and skid."""
 SKID_TURN = 4.0
-"""Additional turn, radians, per radian of turn commanded at 1 m/s. The tail-heavy robot oversteers in fast bends and
-can spin at 5 rad/s (4 of 700 episodes, all timeouts). Slow turns and straight motion have no allowance."""
+"""Additional tolerated turn, radians, per radian of turn commanded at 1 m/s; proportional to the speed. The
+tail-heavy robot oversteers in fast bends and can spin at 5 rad/s (4 of 700 episodes, all timeouts). Slow turns and
+straight motion have no allowance."""
 SKID_PATH_M = 1.0
-"""Tolerated reduction of the distance per second of a fast bend, metres. While spinning, up to 0.65 was measured."""
+"""Additional tolerated error of the driven distance, metres per second of a bend with 1 m/s2. While spinning, up to
+0.65 was measured."""
 SKID_STEP_M = 0.008
 """Tolerated lateral or backward displacement per step, metres per m/s2 of a fast bend."""
 SKID_STEPS = 90

@@ -20,7 +20,7 @@ _MIN, _MAX = -(2**63), 2**63 - 1
 def read_table(path: Place, columns: Sequence[str]) -> pa.Table:
     """Returns the named columns of a table; other columns, which a later version added, are ignored.
 
-    Timestamps that `datetime` cannot represent become null, so a row with one is invalid instead of unreadable.
+    Timestamps that `datetime` cannot represent become null, so the row can be read and its check reports it.
 
     Raises:
         FileNotFoundError: The file does not exist.

@@ -54,7 +54,7 @@ class ExportPiece(Generic[FactsT]):
 
     @property
     def episode(self) -> Episode:
-        """Episode, closed; its `summary` is its row of the metadata."""
+        """Episode, which opens its file at the first access. Its `summary` is its row of the metadata."""
         return self.dataset[self.position]
 
     @property

@@ -205,7 +205,7 @@ class EpisodeTable:
 
 
 def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:
-    """Returns which rows match; of a dictionary-encoded column, each distinct value is searched once."""
+    """Returns which rows match. In a dictionary-encoded column, each distinct value is searched once."""
     if not pa.types.is_dictionary(column.type):
         return _as_mask(match(column.cast(pa.string())))
     held = _as_mask(match(column.dictionary.cast(pa.string())))

@@ -1,4 +1,4 @@
-"""Sizes of frames, pixels. Imports nothing, so options can name them."""
+"""Sizes of frames, pixels. Imports nothing, so command-line options can use it at no cost."""
 
 from __future__ import annotations
 

@@ -18,7 +18,8 @@ from tests.builders.fork_helper import NAME as FORK_HELPER
 
 LIMITS = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_AS, resource.RLIMIT_CORE)
 RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
-"""Limit that a coordinator raises to the hard limit. It is restored like the others, but a change fails no test."""
+"""Limit that a coordinator raises to the hard limit. It is restored like the others, but a test may change
+it."""
 OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Variables that pytest itself changes between the phases of a test."""
 
@@ -53,7 +54,7 @@ class ProcessState:
         )
 
     def restore(self) -> list[str]:
-        """Restores this state; returns one line for each difference that only a test can have made."""
+        """Restores this state; returns one line for each difference that a test has made."""
         _restore_variables(self.variables)
         leaks = [*_restore_folder(self.folder), *_restore_handlers(self.handlers)]
         if (logging.root.level, logging.root.manager.disable) != self.levels:

@@ -65,7 +65,7 @@ class LazyFrame:
 
     @property
     def _partial(self) -> PartialRenderer | None:
-        """Renderer of parts of the image, or `None` if it has none or the whole image has been rendered."""
+        """Renderer of parts of the image; `None` if it cannot render parts, or the whole image was rendered."""
         if "frame" in self.__dict__ or "depth_and_ids" in self.__dict__:
             return None
         return as_partial(self._renderer())
@@ -73,7 +73,7 @@ class LazyFrame:
 
 @dataclass(frozen=True)
 class Observation:
-    """State before an action, or after the end the state before the last action; implements `ExpertObservation`."""
+    """State before the next action; after the end, the state before the last action; implements `ExpertObservation`."""
 
     camera: LazyFrame
     """Camera image."""

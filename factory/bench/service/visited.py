@@ -63,7 +63,7 @@ class VisitedBench(Model):
 
 
 def bench_visited(plan: str, workers: int, seconds: float, rounds: int, viewers: int, requests: int) -> VisitedBench:
-    """Starts a run of states and measures it in alternating periods.
+    """Starts a run with `--record states` and measures it in alternating periods.
 
     Args:
         plan: name or file of a plan.

@@ -20,8 +20,8 @@ from factory.cli.common.options import count_option, json_option, number_option,
 def visited(**options: Any) -> None:
     """Measure what visitors of the web page cost a run.
 
-    Starts a run of states of PLAN with its web page, in a temporary directory. Measures periods without visitors, with
-    viewers, and with attackers in turn: hostile requests, and a hundred slow clients.
+    Starts a run of PLAN with `--record states` and its web page, in a temporary directory. Measures
+    periods without visitors, with viewers, and with attackers in turn: hostile requests, and a hundred slow clients.
     """
     from factory.commands.other.bench_visited import visited
 

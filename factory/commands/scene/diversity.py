@@ -1,4 +1,4 @@
-"""`factory scene survey --family`: builds layouts of a family and prints how much they differ. Computes nothing."""
+"""`factory scene survey --family`: builds layouts of a family and prints how much they differ."""
 
 from __future__ import annotations
 

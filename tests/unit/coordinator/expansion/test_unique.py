@@ -65,7 +65,7 @@ def test_redraws_of_scene_unique_plans_stay_unique():
 
 
 def test_a_redraw_that_cannot_change_the_target_changes_the_template():
-    """With the words unchanged, every draw of "the sofa" could fail, although "the red sofa" has a valid start."""
+    """With an unchanged template, every draw of "the sofa" could fail, although "the red sofa" has a valid start."""
     plan, catalog = _plan("view", seen=("plant",)), {"office": ENTRY}
     named = set()
     for planned in expand(plan, catalog)[:20]:

@@ -22,7 +22,7 @@ from schemas.terms import FailReason
 from tests.builders.ledger import TTL_S, TimedLedger, room_plan
 
 ANY_GRANT = st.sampled_from([0, 0, 0, 1, 2, 3, 5, 8])
-"""Position of a grant, counted back from the newest grant (0), which is the most probable."""
+"""Position of a grant, counted back from the newest grant (0), which is drawn most often."""
 ONE_OR_TWO = st.integers(1, 2)
 REASON = st.sampled_from([FailReason.TIMEOUT, FailReason.SPAWN, FailReason.CRASH, FailReason.RELEASED])
 OTHER_SHA256 = "d" * 64
