@@ -133,7 +133,7 @@ class Housekeeping:
 
     Args:
         run: shared parts of the coordinator.
-        room: checks its free space.
+        room: monitor of the free space for archived episodes.
         elapsed: monotonic clock, seconds.
     """
 

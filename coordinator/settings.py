@@ -42,7 +42,7 @@ class CoordinatorSettings(Model):
     checkpoint_s: Positive = CHECKPOINT_S
     """Interval of writing the dataset's tables, seconds."""
     shard_episodes: Annotated[int, Field(ge=1, le=MAX_SHARD_EPISODES)] = MAX_SHARD_EPISODES
-    """Number of episode numbers per shard of a states dataset. A dataset of at most this size is not packed."""
+    """Size of the range of episode numbers in a shard of states. A dataset of at most this size is not packed."""
     transport_lease_s: Positive = 5.0
     """Time without traffic after which zenoh closes a link, seconds."""
     admission_s: Positive = 2.0

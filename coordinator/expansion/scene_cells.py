@@ -35,7 +35,7 @@ class SceneCells:
 
     @cached_property
     def sides(self) -> Sides:
-        """Side of each instance that is reserved for training or for evaluation."""
+        """Whether each instance is for training or for evaluation, if the plan separates instances."""
         return sides_of(self.plan, self.scene, self.wording.targets, self.quota)
 
     @property

@@ -33,7 +33,7 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 
 _HOST_SHARE = 8
-"""Divisor of the total limits for the limits of one host, so several busy hosts leave capacity for others."""
+"""The limits of one host are the total limits divided by this number. Several busy hosts leave capacity for others."""
 _READS_WAITING = 16
 _WAITING_BYTES = 16 << 20
 """Maximum total size of messages that wait for the ledger, bytes; a parsed message takes ten times as much memory."""

@@ -26,7 +26,7 @@ Read = Callable[[int, int], Iterable[dict[str, Any]]]
 """Function that returns the rows of the episodes between two numbers, both included, ascending."""
 
 GROUP_ROWS = 2000
-"""Number of episode numbers per row group."""
+"""Size of the range of episode numbers of a row group."""
 
 
 class RowSource(Protocol):

@@ -31,7 +31,8 @@ from workers.render.choose import open_renderer
 LAYOUTS = 12
 TILE_PX = 420
 RANKS = 3
-"""Layouts show their best, second and third view in turn, so a sheet shows more than the best room of each."""
+"""Number of ranks of views. The first layout of a sheet shows its best view, the next its second best, and so on, so a
+sheet shows different kinds of rooms."""
 FOLDER = Path(__file__).parents[1] / "scenes"
 GAP_PX = 4
 

@@ -77,7 +77,7 @@ def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
     """Returns the target and the sentence of an episode that starts at a pose.
 
     If the target is drawn at the start, each object that could be the target must have a sentence and a path.
-    Otherwise, objects for which these are easier to find would be targets more often.
+    Without this rule, objects for which sentences and paths are easy to find would be targets more often.
 
     Args:
         job: job of the episode.

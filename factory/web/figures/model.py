@@ -31,7 +31,7 @@ class DrawnStatistics(Model):
     opened: int = Field(ge=0)
     """Number of episodes whose files were read for tracks, actions and frames."""
     is_complete: bool
-    """Whether as many episodes were opened as for the report."""
+    """Whether the figures show as many episodes as those of the report."""
 
 
 class Message(Model):

@@ -96,7 +96,7 @@ def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Ite
 
 
 def _is_readable(one: ExpressionCandidate) -> bool:
-    """Returns whether a reader knows which objects an expression counts, or among which it selects the farthest."""
+    """Returns whether it is clear which objects an expression counts, or among which it selects the farthest."""
     families = {FAMILY[part.clause.relation] for part in one.parts}
     if one.ordinal is not None:
         return families <= _WITH_ORDINAL

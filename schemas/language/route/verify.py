@@ -176,7 +176,7 @@ class RouteVerifier:
     def _fitting(self, named: Expression, replay: PoseReplay, start: int, end: int) -> set[int]:
         """Returns the objects that the words fit: in the scene, or near the step if only kind and colour are named.
 
-        The number -1 is added if the words fit an object near the step only as a borderline case.
+        The number -1 means: the words fit an object near the step only as a borderline case.
         """
         if named.clauses or named.size is not None or named.ordinal is not None:
             x, y = replay.position(start)
