@@ -87,7 +87,7 @@ class Coordinator(Closing):
             handler = stack.enter_context(self._open_request_handler(run, options.on_joined))
             self._router = stack.enter_context(_open_router(run, options, handler))
             stack.enter_context(PeriodicTasks(housekeeping.table(self._router.admit)))
-            # the tables have a separate thread: writing those of a large run takes seconds, and leases expire meanwhile
+            # the tables have a separate thread, so the expiry of leases does not wait for the tables of a large run
             tables = {
                 "write_tables": (options.settings.checkpoint_s, self._tables.write),
                 "write_first_tables": (_FIRST_TABLES_S, self._tables.write_first),

@@ -36,7 +36,7 @@ Text = Annotated[str, StringConstraints(max_length=10_000)]
 """Text of several lines; at most 10 000 characters."""
 
 PrimPath = Annotated[str, StringConstraints(max_length=4096)]
-"""Path of a prim: a USD prim, or a node of another format below `/World`."""
+"""Path of a prim: a USD prim, or a node of a different format below `/World`."""
 
 Count = Annotated[int, Field(ge=0, le=MAX_COUNT)]
 """Number of items, from 0."""

@@ -12,7 +12,7 @@ from schemas.base import Line, Model, Name
 from schemas.terms import Split, Tier
 
 _COLUMN_NAMES = {"tier": "spawn_tier", "category": "target_category"}
-"""Fields whose column in a dataset's tables has another name."""
+"""Fields whose column in a dataset's tables has a different name."""
 
 
 class EpisodeSpec(Model):

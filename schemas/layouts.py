@@ -140,7 +140,7 @@ def layout_mistakes(scene: ScenePlan, splits: Mapping[Split, float]) -> Iterator
 
 
 def with_episodes(scene: ScenePlan, splits: Mapping[Split, float], episodes: int) -> ScenePlan:
-    """Returns an entry with another number of episodes; a family with too few episodes gets fewer layouts."""
+    """Returns an entry with a different number of episodes; a family with too few episodes gets fewer layouts."""
     if scene.layouts is None:
         return scene.model_copy(update={"episodes": episodes})
     held_back, unseen = _unseen_episodes(splits, episodes), unseen_layouts(scene, splits)

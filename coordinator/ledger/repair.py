@@ -116,7 +116,7 @@ def record_whole(
     obstacle = obstacle_to(connection, receipt.index, draw, attempt, replaces=replaces)
     if obstacle:
         return obstacle
-    outcomes.lose(connection, receipt.index, now, "the dataset has another intact file of the episode")
+    outcomes.lose(connection, receipt.index, now, "the dataset has a different intact file of the episode")
     row = _take(connection, _advance_to_draw(connection, plan, catalog, receipt.index, draw, now), attempt, now)
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)

@@ -1,7 +1,7 @@
 """Assigns announced bundles to pullers: to the gateway of the worker, else to the coordinator.
 
-The module keeps orders in memory until the gateway fetches them. The next heartbeat of a worker announces a lost order
-again.
+The module keeps orders in memory until the gateway fetches them. After the loss of an order, the next heartbeat of the
+worker announces the bundle again.
 """
 
 from __future__ import annotations

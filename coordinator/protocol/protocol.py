@@ -85,7 +85,7 @@ class Terms:
     catalog: Catalog
     """Compiled scenes of the plan."""
     version: str
-    """Version of minivla-factory; workers of another version are refused."""
+    """Version of minivla-factory; workers of a different version are refused."""
     lease_ttl_s: float
     """Duration of a lease, seconds."""
     retry_after_s: float

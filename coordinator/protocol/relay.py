@@ -135,5 +135,5 @@ class InventoryReply(Model):
     strays: Annotated[tuple[UnrecordedFile, ...], Field(max_length=2 * MAX_FILES)] = ()
     """Files without a record at the gateway."""
     lost: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_LOST)] = ()
-    """Recorded episodes whose file is missing or has another size; they are collected again. A reply with `MAX_LOST`
-    episodes is incomplete and lists no strays: the gateway repeats the inventory."""
+    """Recorded episodes whose file is missing or has a different size; they are collected again. A reply with
+    `MAX_LOST` episodes is incomplete and lists no strays: the gateway repeats the inventory."""

@@ -108,7 +108,7 @@ class StrayClassifier:
                     meta = bundle.meta
                 said, plan = meta.job, self._draws.plan
                 if said.plan_digest != plan.digest:
-                    return ForeignEpisode(f"an episode of run {said.run}, which has another plan than {plan.run}")
+                    return ForeignEpisode(f"an episode of run {said.run}, which has a different plan than {plan.run}")
                 job = self._draws.job(index, said.draw, said.attempt)
                 if job is None:
                     return f"the plan has no draw {said.draw} of {episode_id(index)}"

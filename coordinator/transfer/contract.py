@@ -53,7 +53,7 @@ class Delivery(NamedTuple):
     pull: Pull
     """Bundle of the episode."""
     receipt: BundleReceipt
-    """Row of the episode."""
+    """Facts of the bundle that the ledger records."""
     is_checked: bool
     """Whether the bundle was validated here, not only by its worker."""
 

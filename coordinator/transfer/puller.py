@@ -38,7 +38,7 @@ log = structlog.get_logger(__name__)
 
 
 class Pullers(Closing):
-    """Pool of threads that transfer bundles, one per episode at a time; a context manager.
+    """Pool of threads that transfer bundles, at most one bundle of each episode at a time; a context manager.
 
     Hosts take turns, so slow hosts do not delay the others. The waiting small bundles of one worker share a turn.
     """

@@ -166,7 +166,7 @@ class Episode(Closing):
 
         Args:
             t: step.
-            size: width and height, pixels; frames of another size than the recorded 640 are rendered.
+            size: width and height, pixels; frames of a different size than the recorded 640 are rendered.
             antialias: samples per pixel along each axis; with more than 1, frames are rendered. The colour of a pixel
                 is the mean of its samples, depth and id are those of the middle sample.
         """

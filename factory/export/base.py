@@ -89,7 +89,7 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     about: ClassVar[str]
     """Description of the format for the help, one line."""
     version: ClassVar[int] = 1
-    """Version of the writer; incremented when its files change. An unfinished export of another version is refused."""
+    """Version of the writer; incremented when its files change. Unfinished exports of other versions are refused."""
     requires: ClassVar[tuple[str, ...]] = ()
     """Top-level modules that the format needs; their versions are recorded in the manifest."""
     assembles: ClassVar[bool] = False

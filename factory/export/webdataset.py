@@ -46,7 +46,7 @@ for sample in webdataset.WebDataset("train_id-{{000000..000009}}.tar", shardshuf
 """
 _RECORDED_MEMBERS = """\
 | `rgb.png` | 640 x 640, 8 bit |
-| `depth.npy.gz` | float32 metres along the optical axis, 0 where nothing was hit; both readers unpack it to an array |
+| `depth.npy.gz` | float32 metres along the optical axis, 0 where nothing was hit; readers unpack it to an array |
 | `seg.npy.gz` | uint16 instance ids; 0 is background |
 """
 _RECORDED_IMAGES = 'sample["rgb.png"], sample["depth.npy.gz"]'

@@ -27,7 +27,7 @@ def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
     Conditions on the start view and collision tests of the start pose are ignored.
 
     Args:
-        plan: Plan that its scenes support.
+        plan: Plan that its scenes can fulfil.
         catalog: Scenes of the plan.
     """
     part = shrink(plan, episodes=min(plan.episodes, MOST_SUMMARISED))

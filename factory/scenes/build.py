@@ -190,7 +190,7 @@ def import_scene(
         The path of the package; its name contains the first digits of the SHA-256 of its content.
 
     Raises:
-        UsageError: the file does not exist or has another format, the name is not valid, or `targets` names
+        UsageError: the file does not exist or has a different format, the name is not valid, or `targets` names
             prims that the scene does not have.
         WorldError: the stage cannot be compiled; the message states the reason.
     """

@@ -79,7 +79,7 @@ def require_stage(path: Path) -> None:
     """Checks that a file can be a scene of a supported format.
 
     Raises:
-        UsageError: the file does not exist, is a directory or has another format; the message names a converter.
+        UsageError: the file does not exist, is a directory or has a different format; the message names a converter.
     """
     fault = find_fault(path)
     if fault:

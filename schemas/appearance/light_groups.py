@@ -76,7 +76,7 @@ def decode_light_groups(file: BinaryIO) -> LightGroups:
     """Decodes the light groups of a scene from a seekable file.
 
     Raises:
-        InvalidBundle: the file is damaged or has another format version.
+        InvalidBundle: the file is damaged or has a different format version.
     """
     reader = ContainerReader(file, _LIMITS)
     try:

@@ -79,7 +79,7 @@ def parse_shard(text: str) -> RunShard:
     """Returns the shard that is written as `NUMBER/COUNT`.
 
     Raises:
-        UsageError: the text has another form, or the number is out of range.
+        UsageError: the text has a different form, or the number is out of range.
     """
     found = _WRITTEN.fullmatch(text)
     if found is None:

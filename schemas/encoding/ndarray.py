@@ -69,7 +69,7 @@ def is_npy_of(data: bytes, dtype: DTypeLike, shape: tuple[int, ...]) -> bool:
     return data.startswith(_header(np.dtype(dtype), shape))
 
 
-@functools.lru_cache(maxsize=4096)  # episodes of another length have other headers
+@functools.lru_cache(maxsize=4096)  # episodes of a different length have other headers
 def _header(dtype: np.dtype[np.generic], shape: tuple[int, ...]) -> bytes:
     buffer = io.BytesIO()
     header = {"descr": npy_format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}

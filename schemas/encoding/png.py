@@ -63,7 +63,7 @@ def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uin
         shape: the accepted shape: (H, W, 3) for 8-bit RGB or (H, W) for 16-bit grey.
 
     Raises:
-        InvalidBundle: the image has another size, type, filter or chunk, a wrong CRC, or damaged data.
+        InvalidBundle: the image has a different size, type, filter or chunk, a wrong CRC, or damaged data.
     """
     height, width = shape[:2]
     is_grey = len(shape) == 2

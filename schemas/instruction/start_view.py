@@ -55,7 +55,7 @@ class StartView(Model):
     within_rad: NonNegative | None = None
     """Largest angle between heading and target, which then must be in view; `None` sets no condition."""
     other_referents: Annotated[InstanceIds, Field(alias="rivals")] = ()
-    """Other objects that the instruction fits. If there are any, the target must be in view and none of them."""
+    """Other objects that the instruction fits. If there are any, the target must be in view, and none of them."""
     same_category: Annotated[InstanceIds, Field(alias="alike")] = ()
     """Other objects of the target's category. None of them may be in view without the target."""
     least_same_category: Annotated[Count, Field(alias="least_alike", exclude_if=lambda it: it == 0)] = 0
@@ -125,7 +125,7 @@ def _rank_findings(
     camera: CameraConfig,
     min_pixels: int,
 ) -> list[str]:
-    """Returns a sentence for each measure, distance and angle, in which the target's rank contradicts `ranks`."""
+    """Returns a sentence for each measure (distance, angle) by which the target's rank contradicts `ranks`."""
     seen = see_objects(ids, depth, {target, *same_category}, camera, min_pixels)
     found = []
     measures = {"nearest": _range_of, "most central": _angle_of}

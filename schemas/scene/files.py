@@ -23,7 +23,7 @@ def read_scene(package: Path) -> CompiledScene:
 
     Raises:
         OSError: the package cannot be read.
-        InvalidBundle: the package or a texture is damaged, missing or inconsistent, or has another format version.
+        InvalidBundle: the package or a texture is damaged, missing or inconsistent, or has a different format version.
     """
     with package.open("rb") as file:
         return decode_scene(file, lambda texture: read_texture(package, texture))
@@ -50,7 +50,7 @@ def read_texture(package: Path, texture: TextureFile) -> bytes:
     """Returns the content of the file of a texture of a package; compares its size, not its digest.
 
     Raises:
-        InvalidBundle: the file does not exist, cannot be read or has another size.
+        InvalidBundle: the file does not exist, cannot be read or has a different size.
     """
     path = package.parent / texture.file
     try:

@@ -90,7 +90,7 @@ def decode_scene(file: BinaryIO, read_texture: ReadTexture | None = None) -> Com
         read_texture: function that returns the files of textures that the package lists but does not contain.
 
     Raises:
-        InvalidBundle: the package or a texture is damaged, missing or inconsistent, or has another format version.
+        InvalidBundle: the package or a texture is damaged, missing or inconsistent, or has a different format version.
     """
     reader = ContainerReader(file, PACKAGE_LIMITS)
     return _decode(reader, lambda info: _layers(reader, info, read_texture))
@@ -100,7 +100,7 @@ def decode_geometry(file: BinaryIO) -> CompiledScene:
     """Decodes a package without the pixels of its textures: `textures` is empty.
 
     Raises:
-        InvalidBundle: the package is damaged or inconsistent, or has another format version.
+        InvalidBundle: the package is damaged or inconsistent, or has a different format version.
     """
     return _decode(ContainerReader(file, PACKAGE_LIMITS), lambda _: ())
 
@@ -109,7 +109,7 @@ def read_scene_info(file: BinaryIO) -> SceneInfo:
     """Reads the metadata of a package, without its arrays.
 
     Raises:
-        InvalidBundle: the package is damaged or has another format version.
+        InvalidBundle: the package is damaged or has a different format version.
     """
     return _read_info(ContainerReader(file, PACKAGE_LIMITS))
 
@@ -118,7 +118,7 @@ def read_survey(file: BinaryIO) -> tuple[NDArray[np.float32], NDArray[np.uint8]]
     """Reads `spawns` and `spawn_sees` of a package, without its other arrays.
 
     Raises:
-        InvalidBundle: the package is damaged or has another format version.
+        InvalidBundle: the package is damaged or has a different format version.
     """
     reader = ContainerReader(file, PACKAGE_LIMITS)
     spawns, sees = (_read_array(reader, SCENE_ARRAYS[name]) for name in ("spawns", "spawn_sees"))

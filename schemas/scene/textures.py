@@ -60,7 +60,7 @@ def require_texture(texture: TextureFile, data: bytes) -> None:
     """Checks the size and the digest of the file of a texture.
 
     Raises:
-        InvalidBundle: the file has another size or digest.
+        InvalidBundle: the file has a different size or digest.
     """
     found = hashlib.sha256(data).hexdigest()
     if (len(data), found) != (texture.size, texture.sha256):
@@ -74,7 +74,7 @@ def decode_texture(texture: TextureFile, data: bytes) -> Layer:
     """Decodes the file of a texture.
 
     Raises:
-        InvalidBundle: the file has another size or digest, or is not a layer.
+        InvalidBundle: the file has a different size or digest, or is not a layer.
     """
     require_texture(texture, data)
     return decode_npy_zst(texture.file, data, np.uint8, _SHAPE, _RAW_BYTES).astype(np.uint8, copy=False)

@@ -126,7 +126,7 @@ def check_export(name: str, out: Path, rig: Rig, steps: int, hz: int) -> str:
     """Counts the measurements in an export; returns the number of sensors and measurements as text.
 
     Raises:
-        AssertionError: an array of a sensor has another number of measurements than expected.
+        AssertionError: an array of a sensor has a different number of measurements than expected.
     """
     reader = READERS[name]
     every = 1 if name != "webdataset" else round(hz / RATE_HZ)

@@ -87,7 +87,7 @@ class SceneSheets:
     def goals(self, count: int) -> Iterator[Shown]:
         """Yields instructions for random targets from random starts; every eighth instruction has a false premise.
 
-        The target is visible from at least three of four starts, as at the start of near and mid episodes.
+        For three of four instructions, the start is drawn from the points that see the target.
         """
         targets, found = self.scene.info.targets, 0
         while found < count:

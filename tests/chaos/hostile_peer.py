@@ -270,7 +270,7 @@ _MESSAGES: Mapping[str, Callable[[HostilePeer, _Session], bool]] = {
     "malformed message of a hostile peer": HostilePeer._garble,
     "oversized message of a hostile peer": HostilePeer._inflate,
     "message in the name of another host": HostilePeer._pretend,
-    "hello of another version": HostilePeer._differ,
+    "hello of a different version": HostilePeer._differ,
     "token of another host": HostilePeer._steal,
 }
 """Kind -> function that attacks and returns whether the coordinator refused the request."""

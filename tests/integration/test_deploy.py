@@ -74,7 +74,7 @@ def command_lines() -> list[tuple[str, list[str]]]:
 
 
 def _of_shell(text: str) -> list[str]:
-    """Returns the words after the last `factory` of a command; `demo` replaces a plan variable, and 8 any other."""
+    """Returns the words after the last `factory` of a command; plan variables become `demo`, all others 8."""
     command = re.split(r"\bfactory\s", text)[-1].partition("\n")[0]
     return shlex.split(
         re.sub(r"\$\{(\w+)\}", lambda found: {"plan": "demo", "PLAN": "demo"}.get(found[1], "8"), command)

@@ -154,7 +154,7 @@ def test_axe_finds_no_violation_on_any_page_and_every_route_was_visited(browser,
 
 
 def answers(route: Any, path: str) -> bool:
-    """Returns whether a route serves a path, or accepts no GET: such routes process forms and have another test."""
+    """Returns whether a route serves a path, or accepts no GET: such routes process forms and have a different test."""
     scope = {"type": "http", "method": "GET", "path": path, "root_path": "", "headers": []}
     return route.matches(scope)[0] is Match.FULL or "GET" not in (getattr(route, "methods", None) or {"GET"})
 

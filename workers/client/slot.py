@@ -210,7 +210,7 @@ class Slot:
                 host.leases.note_step(lease, step)
 
     def _fetching(self, lease: Lease) -> tuple[Fetch, Wait]:
-        """Returns the functions that fetch a part of a file, and wait for another fetch, while a lease is in force."""
+        """Returns a function that fetches a part of a file, and one that waits for another fetch. Both check the lease."""
         host = self._host
 
         def wait() -> None:
@@ -299,7 +299,7 @@ class Slot:
                 time.sleep(min(pause_s, host.phase.left_s))
 
     def _pause_after(self, report: SimulationReport) -> None:
-        """Pauses with a backoff after failures that this machine may have caused, so it fails few jobs."""
+        """Pauses with a backoff after failures that this machine may have caused, so few jobs fail."""
         if report.reason in {FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}:
             if not self._host.phase.stopping.is_set():
                 self._failing.fail(report.detail, reason=str(report.reason))

@@ -67,8 +67,8 @@ class Spool(Closing):
 
     Args:
         root: folder of the run; it is created if missing.
-        max_bundles: number of bundles from which the spool is full.
-        max_bytes: size from which the spool is full, bytes.
+        max_bundles: number of bundles at which the spool is full.
+        max_bytes: size at which the spool is full, bytes.
         min_free_bytes: free space of the disk below which the spool is full, bytes.
 
     Raises:

@@ -40,7 +40,7 @@ _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "lib
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
 """Remedy for a forked process, which has the driver's memory without its threads: rendering would wait forever."""
 _used_by: set[int] = set()
-"""Id of the process that opened a context; a forked process has another id."""
+"""Id of the process that opened a context; a forked process has a different id."""
 
 
 class _View(NamedTuple):
@@ -50,7 +50,7 @@ class _View(NamedTuple):
     clip: NDArray[np.float64]
     """(4, 4) matrix from world to OpenGL clip space, for column vectors."""
     matrix: bytes
-    """Bytes of the matrix that the shader programs use: `clip` for a `GlTarget`."""
+    """Matrix that the shader programs use, float32 bytes by columns: `clip`, converted for a `GlTarget`."""
     drawn: DrawOrder
 
 

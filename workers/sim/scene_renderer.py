@@ -116,7 +116,7 @@ class SceneRenderer(Closing):
             light: light groups of the scene, if the appearance of its episodes needs them.
 
         Raises:
-            InvalidBundle: the package or the light groups are damaged or have another format version.
+            InvalidBundle: the package or the light groups are damaged or have a different format version.
         """
         if sha256 not in self._loaded:
             self.renderer.make_room()

@@ -36,7 +36,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
         changes: values of the shrink options.
 
     Raises:
-        UsageError: the directory has another plan, or is inside another dataset.
+        UsageError: the directory has a different plan, or is inside another dataset.
         WorldError: the directory cannot be read.
     """
     recorded = plan_of(site)

@@ -81,7 +81,7 @@ def run_episode(
 
 @dataclass
 class _EpisodeRun:
-    """One run of an episode; measures the time and the number of the policy's outputs."""
+    """One run of an episode; measures the time of the policy's calls and counts its outputs."""
 
     task: EvalTask
     policy: Policy

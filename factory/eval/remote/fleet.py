@@ -41,7 +41,8 @@ from schemas.protocol.messages import EvalPayload
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
-"""Small disk reserve, because results are small. Long leases, because each action may take the policy's time limit."""
+"""Small disk reserve, because results are small. Long leases, because each action may take up to the time limit of the
+policy."""
 _POLL_S = 0.5
 _NAMED = 5
 

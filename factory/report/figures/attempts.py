@@ -1,4 +1,4 @@
-"""Figure of attempts by scene with outcomes and reasons (paper Sec. V-A, without a figure)."""
+"""Figure of attempts by scene with outcomes and reasons (paper Sec. V-A, which has no figure of them)."""
 
 from __future__ import annotations
 

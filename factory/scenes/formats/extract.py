@@ -36,7 +36,7 @@ def extract_scene(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
         limits: options of the import.
 
     Raises:
-        UsageError: the file does not exist or has another format, or does not state its unit or up axis.
+        UsageError: the file does not exist or has a different format, or does not state its unit or up axis.
         WorldError: the file cannot be read, names files that are missing, or exceeds a limit.
     """
     require_stage(path)

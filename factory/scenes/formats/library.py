@@ -32,7 +32,7 @@ def read_mesh_file(path: Path, files: SceneFiles) -> Content:
     """Reads a glTF, OBJ, PLY, STL or COLLADA file.
 
     Raises:
-        ValueError: the file is malformed or has another format.
+        ValueError: the file is malformed or has a different format.
         WorldError: the file cannot be read, or has too many triangles.
     """
     kind, data = kind_of_file(path), files.read(path)

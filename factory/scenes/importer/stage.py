@@ -128,7 +128,7 @@ def _to_metres(stage: Any, metres: float) -> Matrix:
 
 
 def _foreign_units(stage: Any, metres: float) -> Iterator[str]:
-    """Yields notes on layers with another unit than the stage; USD does not convert the units of references."""
+    """Yields notes on layers with a different unit than the stage; USD does not convert the units of references."""
     for layer in sorted(stage.GetUsedLayers(), key=lambda layer: str(layer.GetDisplayName())):
         if layer == stage.GetRootLayer() or not layer.pseudoRoot.HasInfo("metersPerUnit"):
             continue

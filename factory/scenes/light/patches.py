@@ -30,7 +30,7 @@ class Patches:
     anchors: Floats
     """(C, 4, 3) world positions of the corners of the square, metres."""
     extent: Floats
-    """(C, 2) length along and across, metres; of opposite sides, the longer one."""
+    """(C, 2) length along and across, metres: the longer one of each two opposite sides."""
 
 
 def interpolate(values: Floats, chart: Ints, share: Floats) -> Floats:

@@ -34,7 +34,7 @@ def survey_spawns(terrain: Terrain) -> NDArray[np.float32]:
 
 
 def _open_points(terrain: Terrain) -> Floats:
-    """Returns, of every second cell in both directions, the centres (N, 2) at which 12 of 16 headings fit."""
+    """Returns the centres (N, 2) of cells at which at least 12 of 16 headings fit; tests every second cell."""
     near = terrain.grid.clearance >= DISC_RADIUS_M  # no pose fits in the other cells
     points = terrain.grid.centre_of(2 * np.argwhere(near[::2, ::2]))
     headings = np.zeros(len(points), np.int64)

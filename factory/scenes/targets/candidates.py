@@ -77,7 +77,7 @@ def find_candidates(
 
 
 def footprint_width(triangles: NDArray[np.float64]) -> float:
-    """Returns the width of the narrowest strip of floor below triangles (T, 3, 3), metres: the thickness of a panel."""
+    """Returns the width of the narrowest strip of floor that contains the footprint of triangles (T, 3, 3), metres."""
     hull = np.array(footprint_of(triangles))
     sides = np.roll(hull, -1, axis=0) - hull
     lengths = np.maximum(np.linalg.norm(sides, axis=1), 1e-9)

@@ -209,7 +209,7 @@ class _StaticParts:
 
 
 def is_least(values: Floats, number: int, others: Sequence[int]) -> bool:
-    """Returns whether an object has clearly the smallest value; with negated distances, the largest distance."""
+    """Returns whether an object has clearly the smallest value, or, if the values are negated, the largest."""
     own, rest = float(values[number]), float(values[others].min())
     if own >= 0:
         return rest >= max(own * limit.DISTANCE_RATIO, own + limit.DISTANCE_GAP_M)

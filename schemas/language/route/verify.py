@@ -64,7 +64,7 @@ class RouteVerifier:
         replay = PoseReplay(self._graph, poses, self._camera)
         for steps in readings:
             if len(steps) != len(spans):
-                return "the text has another number of steps"
+                return "the text has a different number of steps"
             if any(step not in own for step, own in zip(steps, alone, strict=True)):
                 return "a step differs from its own sentence"
             for step, span in zip(steps, spans, strict=True):
@@ -136,7 +136,7 @@ class RouteVerifier:
         if replay.passage_width(entered) > limit.DOORWAY_M.good:
             return "the passage is not a doorway", 0, 0
         is_other = step.room is not None and self._graph.types[after - 1] != step.room
-        return "the room has another type" if is_other else "", before, entered
+        return "the room has a different type" if is_other else "", before, entered
 
     def _door_fault(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> str:
         fault, before, entered = self._entered_fault(step, replay, start, end)
@@ -200,7 +200,7 @@ def _turn_fault(step: RouteStep, headings: Sequence[float]) -> str:
     if step.side is not None and (turned > 0) != (step.side is RobotSide.LEFT):
         return "the robot turns to the other side"
     if not least <= abs(turned) <= most:
-        return "the turn has another size"
+        return "the turn has a different size"
     ahead = [heading if turned > 0 else -heading for heading in headings]
     if -min(ahead) > limit.REVERSED_RAD or max(ahead) - ahead[-1] > limit.REVERSED_RAD:
         return "the robot turns to both sides"
@@ -209,7 +209,7 @@ def _turn_fault(step: RouteStep, headings: Sequence[float]) -> str:
 
 def _corner_fault(step: RouteStep, headings: Sequence[float]) -> str:
     turned = headings[-1] if step.side is RobotSide.LEFT else -headings[-1]
-    return "" if limit.CORNER_RAD[0] <= turned <= limit.CORNER_RAD[1] else "the turn has another side or size"
+    return "" if limit.CORNER_RAD[0] <= turned <= limit.CORNER_RAD[1] else "the turn has a different side or size"
 
 
 def _pass_fault(step: RouteStep, replay: PoseReplay, number: int, start: int, end: int) -> str:

@@ -16,7 +16,7 @@ from schemas.language.route.model import RobotSide, RouteStep, StepKind
 from schemas.language.sentence.grammar import Grammar, Patterns, SentencePattern, alternatives
 
 SLOT = re.compile(r"\{(np|turn|pass|room|metres)(?::([a-z]+))?\}")
-"""Slot of a clause, and the case of a referring expression."""
+"""Regular expression of a slot in a sentence pattern, with the grammatical case of a referring expression."""
 WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article")
 _ROUTE = "{route}"
 _SYNONYMS = 6

@@ -134,8 +134,8 @@ class ObjectRelations:
         return min(found, Truth.MAYBE) if self._graph.walled[first, second] else found
 
     def is_near_enough(self, number: int, other: int, way: Selected) -> Truth:
-        """Returns `MAYBE` if a wall, or another room, separates an object that is called the nearest from its landmark;
-        otherwise `YES`."""
+        """Returns `MAYBE` if the object that is called the nearest is in another room than its landmark or behind a
+        wall; otherwise `YES`."""
         if way is Selected.MOST:
             return Truth.YES
         is_far = self._same_room(number, other) is Truth.NO or self._graph.walled[number, other]

@@ -22,7 +22,7 @@ _IN_ROOMS = {
     "SM_Sofa_A": 1, "SM_Piano": 1, "SM_Whiteboard_A": 2, "SM_Copier": 1, "SM_ComputerCase": 2, "SM_ShelfBook_B": 2,
     "SM_Plant_A": 2, "SM_TrashCan_A": 3, "SM_Backpack": 3, "SM_LampFloor": 2,
 }  # fmt: skip
-"""Pieces that every school has, with their least numbers."""
+"""Pieces that every school has, with their minimum numbers."""
 _ON_CABINETS = ("SM_BookRow", "SM_Globe", "SM_Papers", "SM_BookPile", "SM_Bouquet")
 _OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
 

@@ -283,7 +283,7 @@ def moving_box(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def offer_sign(variant: int, _rng: Generator) -> list[PropPiece]:
-    """A framed offer on the wall at 1.5 to 2.3 m; the wall plane is y = 0."""
+    """A framed advertising poster on the wall, at a height of 1.45 to 2.17 m; the wall plane is y = 0."""
     name = ("PosterOffer", "PosterSun", "PosterBlocks")[variant % 3]
     border = block((-0.36, -0.03, 1.45), (0.36, 0.0, 2.17))
     art = quad([(-0.33, -0.032, 1.48), (0.33, -0.032, 1.48), (0.33, -0.032, 2.14), (-0.33, -0.032, 2.14)])

@@ -37,7 +37,7 @@ class Site:
         self.kept: list[list[int]] = []
         self.refused: dict[int, str] = {}
         self.is_open = threading.Event()
-        """Whether the ledger answers; bundles that are offered before it wait together."""
+        """Set when the ledger answers; bundles that are offered earlier wait together."""
 
     @staticmethod
     def bundle(index: int) -> bytes:

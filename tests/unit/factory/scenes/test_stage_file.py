@@ -1,4 +1,4 @@
-"""Formats are detected by content; the refusal of another format names the supported formats and a converter."""
+"""Formats are detected by content; the refusal of a different format names the supported formats and a converter."""
 
 from __future__ import annotations
 
