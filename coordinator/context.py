@@ -88,7 +88,7 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
 
 
 def _adopt_layouts(ledger: RunLedger, terms: Terms, now: datetime) -> None:
-    """Records the layouts that were stored without a commit before an interruption."""
+    """Records in the ledger the layouts that were stored, but not recorded, when the run was interrupted."""
     plan = terms.plan
     with ledger.engine.begin() as connection:
         for build in open_builds(connection) if terms.evaluation is None else ():

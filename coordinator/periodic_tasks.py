@@ -16,7 +16,7 @@ PeriodicTask = tuple[float, Callable[[], None]]
 """Pause in seconds, and the function to call."""
 
 _SHARE = 20
-"""Least ratio of the pause after a task to the duration of the task."""
+"""Minimum ratio of the pause after a task to the duration of the task."""
 _AFTER_FAILURE_S, _LONGEST_S = 2.0, 15.0
 """Pause after the first failure of a task, and longest pause, seconds. The pause doubles with each failure. It is never
 shorter than the interval of the task."""

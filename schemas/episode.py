@@ -62,7 +62,7 @@ class Rollout(Model):
     final_ne_m: NonNegative
     """Navigation error (NE): planar distance from the last pose to the target's centroid, metres."""
     final_ne_3d_m: NonNegative
-    """Navigation error with the height of the centroid, metres (docs/design/task.md#distances)."""
+    """Navigation error in 3D: distance to the target's centroid, metres (docs/design/task.md#distances)."""
     min_ne_m: NonNegative
     """Smallest planar distance to the target's centroid over the episode, metres; oracle metrics use it."""
     collision_count: Count

@@ -170,7 +170,7 @@ class TrackMeasure(NamedTuple):
     final_ne_m: float
     """Navigation error (NE): distance from the last pose to the target's centroid, metres."""
     final_ne_3d_m: float
-    """Navigation error with the height of the centroid, metres."""
+    """Navigation error in three dimensions: distance to the target's centroid, metres."""
     min_ne_m: float
     """Smallest distance to the target's centroid, metres."""
     spawn_surface_m: float | None

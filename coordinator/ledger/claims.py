@@ -125,7 +125,8 @@ def claim(
         can_build: whether the function may lease the build of a layout.
 
     Returns:
-        The job's row; `None` if no job is due, the token was used before, or it belongs to another host.
+        The job's row. `None` if no job is due or may be started, if the job of the token is no longer held, or if the
+        token belongs to another host.
     """
     known = _HOLDER.first(connection, {"of_token": token})
     if known is not None:

@@ -103,7 +103,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
 
 def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
-    """Returns an encoded JPEG, not written by Pillow, which does not detect partial writes to a full disk."""
+    """Returns a JPEG, encoded in memory: Pillow would not detect a partial write to a full disk."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "JPEG", quality=quality)
     return buffer.getvalue()

@@ -73,7 +73,7 @@ def collect_scenes(
     only: Collection[str] | None = None,
     packages: Place | None = None,
 ) -> Catalog:
-    """Returns the scenes of a plan. Only layouts are checked whether they can fulfil it.
+    """Returns the scenes of a plan. Checks only layouts for whether they can fulfil it.
 
     Args:
         plan: Plan with the scenes.

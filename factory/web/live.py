@@ -16,7 +16,7 @@ _SEND_S = 10.0
 """Timeout of one event for one tab, seconds; a slower tab is disconnected and reconnects."""
 _MOST_TABS = 300
 _SHARE = 50
-"""Least ratio of the pause after a call to the CPU time of the call: the poller uses at most 2 % of a core."""
+"""Minimum ratio of the pause after a call to the CPU time of the call: the poller uses at most 2 % of a core."""
 
 
 class LiveFeed:

@@ -61,7 +61,7 @@ class TableQuery:
     filters: Mapping[str, str] = field(default_factory=dict)
     """Wanted value by name of the filter."""
     text: str = ""
-    """Text that the instruction contains, in any case."""
+    """Text that the instruction contains; letter case is ignored."""
     sort: str = "episode_id"
     """Column to sort by."""
     descending: bool = False

@@ -121,7 +121,7 @@ class EpisodeSummary(Model):
     end_reason: EndReason
     """Reason for the end of the rollout."""
     final_ne_3d_m: NonNegative
-    """Navigation error at the end with the height of the centroid, metres."""
+    """Navigation error at the end in three dimensions: distance to the target's centroid, metres."""
     min_ne_m: NonNegative
     """Smallest planar distance to the target's centroid over the episode, metres."""
     steps_visible: Count | None

@@ -25,7 +25,8 @@ _SAMPLES = 300
 _DOWN = -0.7
 _MAIN_SHARE = 0.25
 """Smallest area of a slot that gets a new colour, as a share of the largest slot with the same texture; smaller slots
-are trims. A texture stays if its largest slot has less than a quarter of this share of the area of all walls or floors.
+are trims. A texture is not replaced if its largest slot covers less than a quarter of this share of all walls or
+floors.
 """
 _TINTS = (0.8, 1.0)
 """Range of the factor that darkens the textures of objects."""

@@ -210,7 +210,7 @@ class Slot:
                 host.leases.note_step(lease, step)
 
     def _fetching(self, lease: Lease) -> tuple[Fetch, Wait]:
-        """Returns a function that fetches a part of a file, and one that waits for another fetch. Both check the lease."""
+        """Returns a function that fetches a part of a file, and one that waits for another fetch."""
         host = self._host
 
         def wait() -> None:

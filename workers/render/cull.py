@@ -69,7 +69,7 @@ def _spans(scene: CompiledScene, parts: NDArray[np.intp]) -> tuple[list[int], li
 
 
 def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns a matrix (N, 7). Times `PartBounds.facts`, it is the height of each box's highest corner above a plane.
+    """Returns a matrix (N, 7). Its product with `PartBounds.facts` is the height of each highest corner above planes.
 
     Args:
         normals: (N, 3) normals n of the planes n x + offset = 0, of any length.

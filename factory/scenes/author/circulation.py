@@ -29,7 +29,7 @@ _MOST_CHANGE = 0.6
 """Largest total change of the widths of the rooms in a row, as a share of the change that their limits permit. Widths
 change to fill the length of the row."""
 _STEPS = 24
-"""Number of bisections of the scale of a floor."""
+"""Number of steps of the bisection that finds the scale of a floor."""
 
 
 class RoomSpec(NamedTuple):

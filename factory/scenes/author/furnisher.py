@@ -215,7 +215,7 @@ def complete(plan: FloorPlan, own: Sequence[Furnisher], wanted: Mapping[str, int
     Args:
         plan: floor plan of the building.
         own: its rooms.
-        wanted: least number of each piece; random variants are added.
+        wanted: minimum number of each piece; random variants are added.
         kinds: kinds of rooms to use; empty uses all.
     """
     rooms = [each for each in own if not kinds or each.room.kind in kinds]

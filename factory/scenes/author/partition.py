@@ -79,7 +79,7 @@ def divide_floor(
             rectangles with the same area and centre are tried.
         specs: rooms of the building, without halls.
         doors: widths of the openings.
-        scheme: arrangement of the halls; their parts are the last rooms.
+        scheme: arrangement of the halls; in the result, the parts of halls follow all other rooms.
 
     Raises:
         WorldError: no division was found.

@@ -169,6 +169,6 @@ def _pick(
 
 
 def _paint(rng: Generator, walls: tuple[str, ...], name: str) -> SurfaceMaterial:
-    """Returns a wall in a colour, with one of the textures."""
+    """Returns the material of a wall: a colour, and one of the textures at random."""
     texture = _one(rng, walls)
     return tinted(texture, f"Wall{texture}{name}", _PAINT_TINTS[name], _WALL_TILE_M.get(texture, 0.8), 0.9)

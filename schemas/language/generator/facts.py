@@ -233,7 +233,7 @@ class SceneFacts:
         return Masks(sure, (found == room) | (found == 0))
 
     def in_typed_room(self, room: int) -> Masks:
-        """Returns the objects in a room; those in parts that do not show its type are `possible`, not `sure`."""
+        """Returns the objects in a room; those in parts that do not show the room's type are only `possible`."""
         kind = self.graph.types[room - 1]
         shown = self.graph.areas_of_type(room, str(kind))
         return Masks(

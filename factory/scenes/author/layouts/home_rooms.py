@@ -30,7 +30,7 @@ _EVERYWHERE = {
     "SM_Mirror": 2,
     "SM_Suitcase": 2,
 }
-"""Pieces that every home has, with their least numbers."""
+"""Pieces that every home has, with their minimum numbers."""
 
 
 _ON_BOARDS = (

@@ -16,7 +16,7 @@ from factory.scenes.author.room import WALL_THICKNESS_M
 from factory.scenes.author.style import Palette
 
 _EVERYWHERE = {"SM_FireExtinguisher_02": 4, "SM_Whiteboard_A": 4, "SM_TrashCan_A": 5, "SM_ChairWaiting_E": 4}
-"""Pieces that every hospital has, with their least numbers."""
+"""Pieces that every hospital has, with their minimum numbers."""
 _OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
 _SEATS = ("SM_ChairWaiting_E", "SM_ChairVisitor_C")
 _BED_GAP_M = 0.1

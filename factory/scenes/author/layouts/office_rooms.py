@@ -24,7 +24,7 @@ from factory.scenes.author.style import Palette
 _EVERYWHERE = {"SM_Plant_A": 4, "SM_TrashCan_A": 5, "SM_FireExtinguisher_02": 4, "SM_Whiteboard_A": 4}
 _SEATED = {"SM_Sofa_A": 4}
 _AT_WORK = {"SM_TableDesk_A": 4}
-"""Pieces that every office has, with their least numbers."""
+"""Pieces that every office has, with their minimum numbers."""
 _ON_BOARDS = ("SM_BookRow", "SM_BookPile", "SM_Papers", "SM_Globe", "SM_Bouquet", "SM_Portrait")
 _ON_TABLES = ("SM_Papers", "SM_Laptop", "SM_Bouquet", "SM_Tray")
 _ON_BISTRO = ("SM_Crockery", "SM_FruitBowl", "SM_Bouquet")

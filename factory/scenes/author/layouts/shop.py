@@ -31,7 +31,7 @@ _STORED = {
     "SM_Basket": 1,
     "SM_Locker": 1,
 }
-"""Pieces that every shop has, whatever it sells, with their least numbers."""
+"""Pieces that every shop has, whatever it sells, with their minimum numbers."""
 _AISLE_M = (1.5, 2.1)
 
 

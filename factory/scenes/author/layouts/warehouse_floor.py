@@ -27,7 +27,7 @@ _EVERYWHERE = {
     "SM_CrateWood_B": 3,
     "SM_ShelfSteel_A": 4,
 }
-"""Pieces that every warehouse has, with their least numbers."""
+"""Pieces that every warehouse has, with their minimum numbers."""
 _GOODS = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")
 _STAGED = (
     "SM_CardBoxPile",
@@ -60,7 +60,7 @@ def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Pale
     """Furnishes the parts of the hall and the side rooms.
 
     Raises:
-        WorldError: the hall has no room for the least number of racks.
+        WorldError: the hall has no room for the minimum number of racks.
     """
     own = [Furnisher(plan, room, palette) for room in rooms]
     parts = sorted((each for each in own if each.room.kind == HALL), key=lambda each: -_floor_of(each.area))
