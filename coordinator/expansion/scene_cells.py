@@ -66,7 +66,7 @@ def scene_cells(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> SceneCells:
 
 
 def each_scene(plan: Plan, catalog: Catalog) -> Iterator[SceneCells]:
-    """Yields the cells of every scene, in the order of the plan, except of layouts that the catalog lacks."""
+    """Yields the cells of every scene, in the order of the plan; omits layouts that the catalog lacks."""
     for part in plan.parts:
         if part.name in catalog or not isinstance(part, LayoutPlan):
             yield scene_cells(plan, part, catalog[part.name])

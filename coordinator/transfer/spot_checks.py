@@ -1,7 +1,7 @@
 """Validates transferred bundles completely, or without their frames if their worker has validated them.
 
-Spot checks of such bundles are complete. A worker cannot predict which of its bundles are spot checks: the draw depends
-on a secret of this process and on the announced digest. The module does not transfer, publish or refuse bundles.
+A spot check validates such a bundle completely. A worker cannot predict which of its bundles are checked: the draw
+depends on a secret of this process and on the announced digest. Does not transfer, publish or refuse bundles.
 """
 
 from __future__ import annotations

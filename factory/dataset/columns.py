@@ -33,7 +33,7 @@ _LATER = pa.schema(
 """Columns that later versions of this software added; null in tables that lack them."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ROWS_PER_SINGLE = 3000
-"""Reading the columns of this number of rows takes as long as reading one row from its row group."""
+"""Number of rows whose columns can be read in the time that reading one row from its row group takes."""
 _SMALL_INTEGERS = (pa.int8(), pa.int16(), pa.int32())
 
 

@@ -32,8 +32,8 @@ from schemas.storage.dataset_files import META_FILE, METADATA_FILE, SPLITS_FOLDE
 from schemas.terms import Recording, Split
 
 PUBLISHED_SPLITS = {str(Split.TEST_PARAPHRASE_OOD): "test_ood_lang"}
-"""The paper's name of a split -> the name in the published repository, where they differ;
-docs/design/task.md#splits-and-instructions."""
+"""The paper's name of a split -> the name in the published repository, where they differ
+(docs/design/task.md#splits-and-instructions)."""
 _OF_THE_BUNDLE = frozenset({"file_sha256", "file_bytes", "file_name", *TIMES_AND_WORKERS})
 _CARD = """
 - `episodes/ep_000001/rgb_front/000000.png`: 640 x 640, 8 bit; `depth_front/000000.npy`: float32 metres along the

@@ -21,7 +21,7 @@ def visited(**options: Any) -> None:
     """Measure what visitors of the web page cost a run.
 
     Starts a run of PLAN with `--record states` and its web page, in a temporary directory. Measures
-    periods without visitors, with viewers, and with attackers in turn: hostile requests, and a hundred slow clients.
+    in turn periods without visitors, with viewers, and with attackers, which are hostile requests and slow clients.
     """
     from factory.commands.other.bench_visited import visited
 

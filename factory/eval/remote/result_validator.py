@@ -38,7 +38,7 @@ _TRACK_SLACK_M = 0.003
 _SPAWN_SLACK_M, _SPAWN_SLACK_RAD = 0.1, 0.2
 """Maximum displacement and rotation during the warm-up steps, in which the robot settles."""
 _SPEED_SLACK, _PUSH_M = 1.5, 0.05
-"""Tolerances: factor on the maximum speed, because a robot can slide, and displacement by contacts, metres."""
+"""Tolerances: factor by which a sliding robot can exceed the maximum speed, and displacement by contacts, metres."""
 
 
 class EvalReceipt(Model):

@@ -29,7 +29,7 @@ from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
 _SAME_PLACE_M = 0.005
-"""Maximum distance at which a redrawn pose equals the recorded pose, metres; the warm-up moves the robot a little."""
+"""Maximum distance at which a redrawn pose counts as the recorded one, metres; the warm-up moves the robot a little."""
 _SAME_HEADING_RAD = 0.01
 
 ProgressCallback = Callable[[int, int], None]

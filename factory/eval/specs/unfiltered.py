@@ -153,8 +153,8 @@ def _spec(
             )
         planned = redraw(plan, catalog, planned)
     raise WorldError(
-        f"no free start pose, at which the instruction is clear, for {job.target_id} and {_REDRAWS} other targets in "
-        f"scene {job.scene}, tier {job.tier}; exclude the split, or change the scene"
+        f"found no free start pose at which the instruction is clear for {job.target_id} and {_REDRAWS} other targets "
+        f"in scene {job.scene}, tier {job.tier}; exclude the split, or change the scene"
     )
 
 

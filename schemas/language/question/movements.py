@@ -25,7 +25,7 @@ _DONE_M = 0.1
 
 
 def movements(place: SceneRoutes, path: DrivenPath, number: int) -> list[tuple[QuestionMeaning, tuple[int, int]]]:
-    """Returns the movements of a path with their reasons and frames; those without a sure reason are omitted.
+    """Returns the movements of a path with their reasons and frames; movements whose reason is uncertain are omitted.
 
     Args:
         place: scene prepared for routes.

@@ -1,4 +1,4 @@
-"""The environment of child processes, and that every process is started with it."""
+"""The environment of child processes; every process is started with it."""
 
 from __future__ import annotations
 
