@@ -30,8 +30,8 @@ _OTHER_ROWS = f"its rows differ from {METADATA_FILE}"
 class FaultKind(StrEnum):
     """Kind of a split table fault."""
 
-    ABSENT = "absent"  # the file is missing and has rows
-    SURPLUS = "surplus"  # the file exists and has no rows
+    ABSENT = "absent"  # `metadata.parquet` has rows for the file, which is missing
+    SURPLUS = "surplus"  # the file exists, but `metadata.parquet` has no rows for it
     DAMAGED = "damaged"  # the file or one of its thumbnails is unreadable
     OUTDATED = "outdated"  # rows differ from `metadata.parquet`, or a thumbnail is missing whose episode file exists
 

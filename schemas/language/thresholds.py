@@ -56,7 +56,7 @@ REST_M = (-0.03, 0.05)
 BESIDE_M = Band(0.35, 1.2)
 """Gap of footprints for `with_beside`, metres."""
 BESIDE_OTHER_M = 0.3
-"""Smallest difference between the gaps of a thing to its object and to the next object with a top, metres."""
+"""Smallest amount by which a thing beside an object is closer to it than to any other object with a top, metres."""
 WALL_BASE_M = Band(0.3, 0.1)
 """Smallest height of the lower side for `on_wall`, metres."""
 CORNER_M = Band(0.45, 1.2)

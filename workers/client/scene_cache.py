@@ -193,7 +193,7 @@ def _mark_used(places: Collection[Path]) -> bool:
 
 
 def _delete_unused(file: _CachedFile) -> bool:
-    """Deletes a file unless it is in use or was used meanwhile; returns whether the file does not exist now."""
+    """Deletes a file unless it is in use or was used since; returns `False` if it still exists."""
 
     def give_up() -> None:
         raise _Busy

@@ -24,7 +24,7 @@ _KEPT_PLANS = 16
 _MAX_FACE_PX, _MAX_ATLAS_PX = 4096, 16_384
 """Largest side of a face and of the atlas, pixels: limits of software and hardware drivers."""
 _ONE_FACE_REACH = 2.0
-"""Largest distance from the optical axis on the plane z = 1 for a single face; a cube is smaller for wider views."""
+"""Largest distance from the optical axis on the plane z = 1 for a single face; wider views use a cube of faces."""
 _MARGIN_PX = 2
 """Margin of a face around the pixels that are read, so interpolation never leaves the face."""
 _WEIGHTS = 256

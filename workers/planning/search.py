@@ -30,8 +30,8 @@ _TURN_COST_M, _SPOT_TURN_COST_M = 0.02, 0.06
 _AHEAD_RAD = 0.44
 """Largest angle between the heading at the end of a path and the target's centroid, if it must be ahead, radians."""
 _MOVING_M = 0.15
-"""Distance outside the success region up to which a path that must end with the target ahead has no turn on the
-spot, metres."""
+"""Distance from the success region, metres, within which a path has no turn on the spot if it must end with the target
+ahead."""
 _NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
 """Limit of the first distance field, which is used for starts within half of it; and the margin by which the estimated
 cost of a path must be below the limit of its field, metres. The margin is larger than the distance of two cells that

@@ -195,7 +195,7 @@ class GpuScene:
 
 
 def _unique_rows(vertices: NDArray[np.void]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Returns the first index of each distinct vertex, and for each vertex the number of its equal in them.
+    """Returns the first index of each distinct vertex, and for each vertex its index among the distinct vertices.
 
     Sorts hashes, which takes a fifth of the time of sorting the vertices; vertices with equal hashes are compared.
     """

@@ -145,7 +145,9 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     pixels = np.flatnonzero(columns[:-1] >= columns[1:])
     pixels = pixels[(pixels + 1) % width > 0]
     nearer = columns[pixels + 1]
-    while len(pixels):  # a surface hides consecutive pixels to its left, up to one whose column is farther left
+    while len(
+        pixels
+    ):  # a surface hides the consecutive pixels to its left, until one lies left of the surface in the second view
         found[pixels] = True
         has_left = pixels % width > 0
         pixels, nearer = pixels[has_left] - 1, nearer[has_left]

@@ -58,8 +58,8 @@ def sense_imu(imu: Imu, poses: Floats, control_hz: int, key: NoiseKey) -> ImuMea
 def angular_velocities(poses: Floats, rate_hz: float) -> Floats:
     """Returns mean angular velocities (N, 3) of base_link since the previous pose, in base_link, rad/s.
 
-    The rotation between two poses (N, 7) has the axis and half the angle of the quaternion q[k-1]* q[k]; the first is
-    0.
+    The quaternion q[k-1]* q[k] of two poses (N, 7) contains the axis of the rotation between them, and half its angle.
+    The first angular velocity is 0.
     """
     now, before = poses[1:, 3:], poses[:-1, 3:]
     (w0, x0, y0, z0), (w1, x1, y1, z1) = before.T, now.T

@@ -37,7 +37,7 @@ _PREDICTIONS = 32
 that drives straight, also the largest number of starts whose path is predicted; if none of them has
 `_PREDICTION_MARGIN_M`, the start with the most free space is selected."""
 _REJECTIONS = 256
-"""Number of valid starts with a rejected view after which a draw ends."""
+"""Number of otherwise valid starts with a rejected view, after which the search for a start ends."""
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 

@@ -55,7 +55,7 @@ def loft(rings: Floats) -> AuthoredMesh:
 
 @lru_cache(maxsize=1024)
 def _loft_faces(levels: int, sides: int) -> tuple[Ints, Ints]:
-    """Returns the corners per polygon and the point of each corner of a loft, which its meshes share, read-only."""
+    """Returns the corners per polygon and the point of each corner of a loft; equal lofts share these arrays."""
     ring = np.arange(sides)
     following = (ring + 1) % sides
     walls = [

@@ -29,7 +29,7 @@ class ExpressionPart(NamedTuple):
     clause: Clause
     masks: Masks
     bits: int
-    """Objects for which it possibly holds, as the bits of an integer."""
+    """Objects for which the relation possibly holds, as a bit mask."""
 
 
 class Superlatives(NamedTuple):
@@ -209,7 +209,7 @@ class _StaticParts:
 
 
 def is_least(values: Floats, number: int, others: Sequence[int]) -> bool:
-    """Returns whether an object has clearly the smallest value, or, if the values are negated, the largest."""
+    """Returns whether an object clearly has the smallest value; with negated values, the largest."""
     own, rest = float(values[number]), float(values[others].min())
     if own >= 0:
         return rest >= max(own * limit.DISTANCE_RATIO, own + limit.DISTANCE_GAP_M)

@@ -20,7 +20,7 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 OPENING_M = 2.4
 """Largest width of an opening in a wall along the axes of the grid, metres; a wider one does not divide a room."""
 WIDE_M = 5.0
-"""Largest width of an opening in a wall that may look as if it divides a room, metres."""
+"""Largest width of an opening that a viewer may take for the boundary of a room, metres."""
 THRESHOLD_M = 0.5
 """Distance from an opening within which a viewer may be in either room, metres."""
 DOOR_M = 1.3
