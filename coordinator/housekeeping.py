@@ -67,7 +67,10 @@ class LeaseLimit:
         self.restart()
 
     def restart(self) -> None:
-        """Restarts the limit of all leases: after a start, after the clock was set, and while the disk is full."""
+        """Ends no lease for the next `limit_s` seconds.
+
+        Called after a start, after the clock was set, and while the disk is full.
+        """
         self._since = self._clock()
 
     def enforce(self) -> int:
@@ -170,7 +173,7 @@ class Housekeeping:
         self._room.look(self._run.archive)
 
     def note_sandbox(self) -> None:
-        """Records the sandbox layers of the validating processes for `factory status`, after the first was started."""
+        """Records the sandbox layers of the validating processes for `factory status`, once a process was started."""
         layers = sandbox_of(self._run.checker)
         if layers != self._noted_sandbox:
             self._writer.submit(lambda connection: note_sandbox(connection, layers))

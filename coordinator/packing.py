@@ -110,7 +110,8 @@ def _is_open(connection: Connection, span: Range) -> bool:
     if connection.execute(building).first() is None:
         return False
     present = select(func.count(jobs.c.idx.distinct())).where(jobs.c.idx.between(*span))
-    return connection.execute(present).scalar_one() < span[1] - span[0] + 1  # some layouts are not built
+    # the episodes of unbuilt layouts are not in the ledger
+    return connection.execute(present).scalar_one() < span[1] - span[0] + 1
 
 
 def _owned(connection: Connection, span: Range) -> dict[int, str]:

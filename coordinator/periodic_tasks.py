@@ -16,10 +16,10 @@ PeriodicTask = tuple[float, Callable[[], None]]
 """Pause in seconds, and the function to call."""
 
 _SHARE = 20
-"""Minimum ratio of the pause after a task to the duration of the task."""
+"""A pause of at least 1 s is extended to at least this many times the duration of the preceding task."""
 _AFTER_FAILURE_S, _LONGEST_S = 2.0, 15.0
-"""Pause after the first failure of a task, and longest pause, seconds. The pause doubles with each failure. It is never
-shorter than the interval of the task."""
+"""Pause after the first failure of a task, and longest pause after failures, seconds. The pause doubles with each
+failure in succession. A task with a longer interval keeps its interval."""
 
 log = structlog.get_logger(__name__)
 

@@ -34,7 +34,8 @@ class CoordinatorSettings(Model):
     pull_timeout_s: Positive = 2.0
     """Timeout of a chunk request, seconds."""
     min_bytes_per_s: Positive = 128 << 10
-    """Least transfer rate of a bundle, bytes per second; a slower one is refused, and its job returns to the queue."""
+    """Least transfer rate, bytes per second. A bundle that arrives more slowly is refused, and its job returns to the
+    queue."""
     slow_start_s: NonNegative = 10.0
     """Time at the start of a transfer during which the least rate does not apply, seconds."""
     reserve_bytes: Annotated[int, Field(ge=0)] = 2 << 30

@@ -66,7 +66,7 @@ class TableWriter:
                 up_to = last_event(connection)
                 is_over = not claims.has_open_jobs(connection)
                 pack_settled(run.archive, connection, run.terms.plan, is_over, run.settings.shard_episodes)
-                # like the first write, the last one reads all rows from the ledger, because the files may have changed
+                # the first and the last write read all rows from the ledger: another process may have changed the files
                 self._checkpoints.write(connection, run.clock(), rewrite=is_over)
             self._up_to, self._are_readable, self._is_first_due = up_to, True, False
         except Exception:
@@ -74,7 +74,10 @@ class TableWriter:
             raise
 
     def _are_outdated(self) -> bool:
-        """Returns whether the tables are outdated; the ledger shows failed attempts, which `note_change` does not."""
+        """Returns whether the tables are outdated.
+
+        The events of the ledger are read too, because `note_change` is not called after a failed attempt.
+        """
         if self._changed.is_set():
             return True
         try:
@@ -86,10 +89,10 @@ class TableWriter:
     def write_splits(self) -> None:
         """Writes the split tables; called once, at the end, because it reads a frame of each new episode.
 
-        The time is limited if the run is not finished.
+        The time for thumbnails is limited if the run is not finished.
         """
         if self._checkpoints is None or self._changed.is_set():
-            return  # `metadata.parquet`, from which they are made, is outdated
+            return  # `metadata.parquet`, the source of the split tables, is outdated
         try:
             limit_s = None if self._run.ledger.is_finished() else _THUMBNAILS_S
         except WorldError as error:

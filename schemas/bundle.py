@@ -28,7 +28,7 @@ from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 
 MAX_BUNDLE_BYTES = MAX_CONTAINER_BYTES
-"""Largest size of a bundle, bytes; frames alone take less than 0.5 GB."""
+"""Largest size of a bundle, bytes. The frames of an episode take less than 0.5 GB of it."""
 _META = "meta.json"
 _RGB_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX, 3)
 _IMAGE_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX)
@@ -43,8 +43,8 @@ _STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
 
 
 def encode_depth(depth: NDArray[np.float32]) -> bytes:
-    """Returns a depth image as a bundle stores it; without a checksum, because the container has a CRC and the frame a
-    digest."""
+    """Returns a depth image as a bundle stores it. It has no checksum of zstandard, because the container has a CRC of
+    each member, and the metadata a digest of each frame."""
     return encode_npy_zst(depth, checksum=False)
 
 
@@ -163,7 +163,7 @@ class BundleReader(Closing):
         _keep_freed_memory()
         self._in = ContainerReader(file, _LIMITS)
         self.length = self.meta.rollout.num_steps if steps is None else steps
-        if self.length > MAX_FRAMES:  # checked before the member names are generated
+        if self.length > MAX_FRAMES:  # checked first, because `member_names` takes time and memory for each step
             raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
         self.has_frames = len(self._in.names) > _STATES_MEMBERS
         """Whether the bundle stores frames; a states recording does not."""
@@ -197,7 +197,7 @@ class BundleReader(Closing):
         former = spec.former_dtype
         dtype = former if former is not None and is_npy_of(data, former, shape) else spec.dtype
         array = decode_npy(spec.name, data, dtype, shape)
-        findings = spec.value_violations(array)  # decoding has compared shape and dtype
+        findings = spec.value_violations(array)  # `decode_npy` has checked shape and dtype
         if findings:
             raise InvalidBundle("bundle refused", findings)
         return array
@@ -259,11 +259,11 @@ class BundleReader(Closing):
         return frame_digest(rgb, depth, ids)
 
     def content_digest(self, frame_digests: tuple[str, ...]) -> str:
-        """Returns the content digest over these frame digests, the arrays and the metadata."""
+        """Returns the content digest over the given frame digests, the arrays and the metadata."""
         return content_digest(frame_digests, self._stored_arrays(), self.meta.canonical())
 
     def states_digest(self) -> str:
-        """Returns the XXH3-128 over the arrays and the metadata; equal in both recordings of an episode."""
+        """Returns the XXH3-128 over arrays and metadata; equal for the frames and states recording of an episode."""
         return content_digest((), self._stored_arrays(), self.meta.canonical_states())
 
     def _stored_arrays(self) -> tuple[NDArray[np.generic], ...]:

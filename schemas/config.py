@@ -111,7 +111,7 @@ class SpawnConfig(Model):
     physics_draws: Annotated[int, Field(ge=1, le=64)] = 8
     """Largest number of start poses that an attempt tests in physics before it fails with the reason `spawn`."""
     grid_draws: Annotated[int, Field(ge=1, le=10000)] = 400
-    """Largest number of distances (far tier: surveyed points) that a draw tests on the occupancy grid."""
+    """Largest number of distances, in the far tier of surveyed points, that a draw tests on the occupancy grid."""
     warmup_steps: Annotated[int, Field(ge=1, le=10_000)] = 3
     """Length of the warm-up in which the robot must keep its place, steps."""
     max_displacement_m: Positive = 0.08
@@ -172,11 +172,11 @@ class PlannerConfig(Model):
     tight_margin_m: NonNegative = 0.02
     """Free space around the footprint if no path exists with `margin_m`, metres."""
     arrival_margin_m: NonNegative = 0.10
-    """Distance from the end of the path to the edge of the success region, inside it, metres."""
+    """Distance by which the path ends inside the edge of the success region, metres."""
     tight_arrival_margin_m: NonNegative = 0.05
-    """Value that replaces `arrival_margin_m` if no path exists with it, metres."""
+    """Distance that replaces `arrival_margin_m` if no path ends that far inside the edge, metres."""
     stop_margin_m: NonNegative = 0.03
-    """Distance to the edge of the success region, inside it, at which the robot brakes, metres."""
+    """Distance inside the edge of the success region at which the robot starts to brake, metres."""
     max_path_m: Positive = 10.0
     """Longest distance along the floor from a start in the far tier to the success circle, metres."""
     max_expansions: Annotated[int, Field(ge=1, le=10_000_000)] = 60_000

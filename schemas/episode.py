@@ -118,7 +118,8 @@ class EpisodeMeta(Model):
     """Convex hull of the target's projection to the floor, x, y in the world frame, metres; empty if the scene records
     none."""
     phrase_is_unique: bool
-    """Whether the instruction fits exactly one object of the scene, by category and colour if it is a template."""
+    """Whether the instruction fits exactly one object of the scene. A template is compared by category and colour
+    only."""
     rollout: Rollout
     """Measurements of the rollout."""
     route: Route = Route()
@@ -158,7 +159,7 @@ class EpisodeMeta(Model):
 
     @property
     def sampled_digests(self) -> dict[int, str]:
-        """Mapping of step to frame digest of a states recording."""
+        """Frame digests of a states recording, by step."""
         return dict(zip(self.job.sampled_steps(self.rollout.num_steps), self.frame_digests, strict=True))
 
     def canonical(self) -> str:

@@ -37,7 +37,7 @@ class EpisodeSpec(Model):
 
     @staticmethod
     def of(source: object, **changes: object) -> EpisodeSpec:
-        """Returns the spec of an object with these eight attributes, such as a job, an evaluation spec or a ledger row.
+        """Returns the spec of an object that has the same fields, such as a job, an evaluation spec or a ledger row.
 
         Args:
             source: object with the values.
@@ -56,7 +56,7 @@ def columns_of(source: object, row: type[Model]) -> dict[str, Any]:
     """Returns the values of an episode spec by the published names of their table columns.
 
     Args:
-        source: has the fields of `EpisodeSpec` that the table has.
+        source: object with those fields of `EpisodeSpec` that are columns of the table.
         row: model of the table's rows.
     """
     columns = {_COLUMN_NAMES.get(name, name): name for name in _FIELDS}

@@ -20,7 +20,8 @@ from schemas.terms import TIER_RANGE_M
 
 
 def candidates_of(job: Job, info: SceneInfo) -> tuple[Target, ...]:
-    """Returns the targets that an episode may have, the planned one first; several if it is drawn at the start."""
+    """Returns the targets that an episode may have, the planned one first; the others exist only if the target is drawn
+    at the start."""
     planned = info.target(job.target_id)
     if job.choice is None:
         return (planned,)
@@ -49,7 +50,7 @@ def exchangeable_targets(
 
 
 def may_exchange(job: Job, candidates: Sequence[Target], start: tuple[float, float, float], least: int) -> bool:
-    """Returns whether at least `least` candidates could be exchangeable, depending on which of them are in view."""
+    """Returns whether `exchangeable_targets` could return at least `least` candidates for some image at this start."""
     near = startable_targets(job, candidates, start)
     return sum(apart >= least - 1 for apart in _count_apart(job, near)) >= least
 

@@ -16,7 +16,7 @@ from schemas.support.apportion import apportion, webster_sequence
 from schemas.terms import Split, Tier, layout_name, layout_number
 
 LAYOUT_SEEDS = 20
-"""Largest number of seeds of one layout."""
+"""Largest number of seeds that are tried for one layout."""
 
 Cell = tuple[Split, Tier]
 Cells = dict[Cell, int]
@@ -29,8 +29,8 @@ class LayoutPlan(ScenePlan):
     family: ScenePlan = Field(exclude=True)
     """Entry of the family."""
     places: Mapping[Cell, InstanceOf[range]] = Field(exclude=True)
-    """Positions of its episodes, by cell, in one of two sequences of the family: the episodes with seen categories, or
-    those with held-out categories."""
+    """Positions of the layout's episodes, by cell. The family has two sequences of episodes: those with seen categories
+    and those with held-out categories. A position counts in the sequence to which the split of the cell belongs."""
 
     @property
     def quota(self) -> Cells:
@@ -43,7 +43,7 @@ class LayoutPlan(ScenePlan):
         return any(split.is_unseen_scene for split, _ in self.places)
 
     def as_scene(self) -> ScenePlan:
-        """Returns the entry of the first seed of the layout as a fixed scene."""
+        """Returns the entry as that of a single scene, whose seed is the first seed of the layout."""
         return ScenePlan.model_construct(**{name: getattr(self, name) for name in ScenePlan.model_fields})
 
     @property

@@ -47,7 +47,8 @@ class Goal:
     radius_m: float
     """Success radius, metres."""
     footprint_m: tuple[tuple[float, float], ...] = ()
-    """Vertices of the convex footprint, counter-clockwise, metres; empty measures from the centroid."""
+    """Vertices of the convex footprint, counter-clockwise, metres; if it is empty, distances are measured from the
+    centroid."""
 
     @classmethod
     def of(cls, target: Target, task: TaskConfig) -> Self:
@@ -121,7 +122,8 @@ class Goal:
         return approach(np.asarray(starts, float), limit, self._centre, self._vertices)
 
     def entry(self, point: Floats) -> tuple[float, Floats]:
-        """Returns length (at most 0 inside) and end of the shortest straight way from a point (2,) into the goal."""
+        """Returns length and end of the shortest line from a point (2,) to the goal; the length is at most 0 for a
+        point in the goal."""
         if not self.footprint_m:
             gap = math.dist(point, self.centre_m) - self.radius_m
             return gap, point + (self._centre - point) * (gap / (gap + self.radius_m))
@@ -208,7 +210,7 @@ def measure_track(
 
 
 def target_in_view(ids: NDArray[np.uint16], instance_id: int, min_pixels: int) -> bool:
-    """Returns whether a frame shows the target; applied to the last frame for the view on arrival.
+    """Returns whether a frame shows the target with enough pixels.
 
     Args:
         ids: (H, W) instance ids of the frame.

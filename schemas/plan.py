@@ -233,7 +233,7 @@ class Plan(Model):
     @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the plan; plans with equal digests describe the same dataset."""
-        # cached, because every claimed job needs it; the JSON is parsed again, so 1 and 1.0 give one digest
+        # cached, because every claimed job needs it; parsing the JSON makes 1 and 1.0 in a float field equal
         text = canonical_json(Plan.model_validate_json(self.model_dump_json()))
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -47,13 +47,14 @@ class ScenePlan(Model):
     episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
     """Number of episodes in this scene."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Layout seed of a built-in scene; with `layouts`, seed of the first layout. The number in a name such as
-    `home_00017` is its default."""
+    """Layout seed of a built-in scene; with `layouts`, seed of the first layout. The default is the number in a name
+    such as `home_00017`, else 0."""
     layouts: Annotated[int, Field(ge=1, le=MAX_LAYOUTS)] | None = None
-    """Number of layouts of a built-in scene, each a scene with another seed; null for one scene with its name."""
+    """Number of layouts of a built-in scene; each layout is a scene with a different seed. Null means a single scene
+    with the name of the entry."""
     unseen_layouts: Annotated[int, Field(ge=1, le=MAX_LAYOUTS)] | None = None
-    """Number of these layouts that only the splits `test_unseen_scene*` use; null for the share of these splits, at
-    least one."""
+    """Number of layouts that only the splits `test_unseen_scene*` use; null derives it from the share of these splits,
+    at least one layout."""
     seen: tuple[Name, ...] = ()
     """Categories of the in-distribution splits; empty selects those of the paper."""
     held_out: tuple[Name, ...] = ()

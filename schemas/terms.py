@@ -27,7 +27,8 @@ class SuccessMeasure(StrEnum):
 
 
 TIER_RANGE_M = MappingProxyType({Tier.NEAR: (1.5, 3.5), Tier.MID: (3.5, 7.0)})
-"""Ranges of the planar spawn distance by the success measure, metres; `far` has a range along the floor instead."""
+"""Range of the planar distance from the start to the target by the success measure, metres, for each tier except `far`,
+whose range is a distance along the floor."""
 FAR_FLOOR_M = (5.0, 11.0)
 """Default range of the distance along the floor from a start in the far tier to the target, metres."""
 
@@ -246,7 +247,7 @@ _LAYOUT = re.compile(rf"({'|'.join(BUILTIN_CATEGORIES)})_([0-9]{{5,9}})", re.ASC
 
 
 def layout_name(family: str, seed: int) -> str:
-    """Returns the name of the layout of a family whose first seed is given, such as `home_00017`."""
+    """Returns the name of a layout, such as `home_00017`, from its family and its first seed."""
     return f"{family}_{seed:05d}"
 
 

@@ -16,7 +16,7 @@ from schemas.rig import Rig
 RigData = Annotated[Rig, PlainSerializer(Rig.plain)]
 """Rig that is serialised without values that equal their default, so keys added later change no digest."""
 AppearanceData = Annotated[Appearance, PlainSerializer(Appearance.plain)]
-"""Appearance that is written without values that equal their default."""
+"""Appearance that is serialised without values that equal their default, so keys added later change no digest."""
 
 
 class LightFile(Model):

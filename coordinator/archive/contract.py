@@ -46,7 +46,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Publishes the part files of several episodes, as `publish` does, and syncs them together.
 
         Returns:
-            The error of each episode that was not published, by number; the others are published.
+            The error of each episode that was not published, by episode number; all other episodes are published.
 
         Raises:
             WorldError: the folder cannot be synced; the ledger must record none of the episodes.

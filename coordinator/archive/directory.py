@@ -92,7 +92,7 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
         return failed
 
     def _flush_all(self, parts: Mapping[int, Staged]) -> Iterator[tuple[int, FactoryError]]:
-        """Syncs part files; yields the error of each that cannot be synced."""
+        """Syncs part files. Yields episode number and error for each part file that cannot be synced."""
         errors = map(_flush, parts.values()) if len(parts) == 1 else self._syncing.map(_flush, parts.values())
         for index, error in zip(parts, errors, strict=True):
             if error is not None:

@@ -136,7 +136,8 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         self._objects.delete(*(f"{EPISODES}/{place.name}" for place in places))
 
     def _set_aside(self, path: Place, reason: str) -> Place:
-        """Moves an object to the quarantine folder of the dataset, or a local file to that of the state directory."""
+        """Moves an object to the quarantine folder of the dataset, a local file to the quarantine folder of the state
+        directory. Writes the reason to a file beside it, and returns the new path."""
         if isinstance(path, Path):
             folder = self._state_dir / QUARANTINE
             with translated("open", folder):
@@ -153,7 +154,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return place
 
     def _explained(self, path: ObjectPath | PackedPath, reason: str) -> ObjectPath:
-        """Writes the reason to the quarantine folder, and returns a new path there for the object."""
+        """Writes the reason to the quarantine folder. Returns an unused path there, to which the caller copies."""
         place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
         self._objects.put(f"{place.key}.reason.txt", f"{path}\n{reason}\n".encode())
         log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
@@ -170,7 +171,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return final
 
     def free_bytes(self) -> int:
-        """See `Archive.free_bytes`. The value is that of the state directory; object storage is not limited."""
+        """See `Archive.free_bytes`. Returns the free space of the state directory; object storage has no limit."""
         return self._staging.free_bytes()
 
     def _keep(self, source: Path, place: Place) -> None:

@@ -43,7 +43,7 @@ from schemas.storage.shards import (
 
 _THREADS = 8
 _AHEAD = 64
-"""Number of episodes that are read or stored at once."""
+"""Number of items that `in_threads` processes at a time."""
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -166,7 +166,7 @@ class PackingArchive(ABC):
             raise ArchiveCorrupt(f"{final} already exists and is not overwritten: run `factory verify --deep`")
 
     def _whole_files(self, owned: Mapping[int, str]) -> Iterator[tuple[int, bytes]]:
-        """Yields number and content of the files that can be packed, ascending."""
+        """Yields episode number and content of each file that can be packed, in ascending order of the numbers."""
         wanted = [index for index in sorted(owned) if self._shards.find(index) is None]
         for index, data in zip(wanted, in_threads(self._read_file, wanted), strict=True):
             if isinstance(data, str):
@@ -187,7 +187,10 @@ class PackingArchive(ABC):
             return f"cannot be read: {error.strerror}"
 
     def _write_shard(self, episodes: Iterable[tuple[int, bytes]], first: int, last: int) -> ShardDirectory:
-        """Publishes a shard of a range and returns its ZIP directory; publishes nothing if there are no episodes."""
+        """Publishes episodes of one range of numbers as a shard, and returns the ZIP directory of the shard.
+
+        Publishes nothing if there are no episodes.
+        """
         part = self._staging.part(f"shard_{first:06d}")
         try:
             with translated("write", part.parent), part.open("x+b") as file:
@@ -272,7 +275,10 @@ def _is_regular_shard(path: Place) -> bool:
 
 
 def in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Yields the results in the order of the items; at most a few results are in memory."""
+    """Applies a function to items in several threads, and yields the results in the order of the items.
+
+    Works on `_AHEAD` items at a time, so memory holds at most as many results.
+    """
     rest = iter(items)
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(islice(rest, _AHEAD)):

@@ -38,7 +38,7 @@ its near and mid starts need sight of the target
 (docs/decisions/0154-start-papers-office-episodes-in-sight-of-the-target.md)."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
-"""Categories of each scene of which several objects are in view from almost every start
+"""Ambiguous categories by scene: almost every start in the scene shows several objects of such a category
 (docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
 
 
@@ -67,9 +67,9 @@ _BALANCED = Plan(
     task=_BY_SURFACE,
     demonstration=DemonstrationConfig(max_contact_steps=0, target_in_view=True),
 )
-"""1200 episodes: 135 of each seen and 30 of each held-out category, planner expert, colours on, disjoint instances for
-training and evaluation, instructions that fit one object, no contact and the target in view on arrival. The numbers of
-episodes of the scenes permit equal shares of the categories, and each scene names all its categories
+"""1200 episodes: 135 of each seen category and 30 of each held-out category, planner expert, colours on, disjoint
+instances for training and evaluation, instructions that fit one object, no contact and the target in view on arrival.
+The numbers of episodes per scene permit equal shares of the categories, and each scene names all its categories
 (docs/decisions/0125-give-every-category-of-balanced-an-equal-share.md)."""
 
 _REFERRING = Plan(

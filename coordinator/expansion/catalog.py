@@ -23,7 +23,7 @@ class SceneEntry:
     """Compiled scene on disk."""
 
     known: SceneInfo | None
-    """Metadata of the scene; `None` reads it from the package when it is needed and keeps it for a few scenes."""
+    """Metadata of the scene. If it is `None`, `info` reads it from the package and caches it for a few scenes."""
     sha256: str
     """SHA-256 of the package file; workers request the package by it."""
     size: int

@@ -37,9 +37,9 @@ Option = TypeVar("Option")
 
 _EXPAND_STREAM, _REDRAW_STREAM, _RANK_STREAM = 1, 2, 4
 _SAME_CATEGORY_DRAWS = 4
-"""Number of redraws that keep the category; later redraws use all targets of the cell."""
+"""Number of redraws that keep the category of an episode; later redraws use all targets of the cell."""
 _SHARED_SPECS = 1 << 14
-"""Size of the cache of specs: a plan of millions of episodes repeats a few thousand specs."""
+"""Maximum number of cached `EpisodeSpec` objects. A plan of millions of episodes repeats a few thousand of them."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class PlannedJob:
     """Episode number, from 1."""
     draw: int
     episode: EpisodeSpec
-    """Content of the episode; equal jobs share one object."""
+    """Content of the episode; draws with equal content share one object."""
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
@@ -240,7 +240,7 @@ def _language_view(plan: Plan, language: LanguageSpec, info: SceneInfo, planned:
 
 
 def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned: PlannedJob) -> StartView:
-    """Returns conditions that let the worker draw the target, from all objects of the category in the cell."""
+    """Returns conditions that let the worker draw the target among the targets of the same category in the cell."""
     episode = planned.episode
     pool = scene_cells(plan, plan.part(episode.scene), entry).pool(episode.split, episode.tier)
     among = sorted(target.instance_id for target in pool if target.category == episode.category)

@@ -28,7 +28,7 @@ class NearestPlan:
     changes: tuple[str, ...]
     """Differences, one line per scene; empty if the plan is feasible."""
     moved: int
-    """Number of episodes of the plan that are in other cells or are omitted."""
+    """Number of episodes of the infeasible plan that are moved to other cells or are omitted."""
 
 
 def find_nearest(plan: Plan, catalog: Catalog) -> NearestPlan:
@@ -42,7 +42,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> NearestPlan:
     changes: list[str] = []
     moved = 0
     for scene in plan.scenes:
-        if scene.layouts is not None:  # seeds of layouts are chosen so that they fulfil the plan
+        if scene.layouts is not None:  # layouts fulfil the plan: a seed whose layout does not is refused
             kept.append(scene)
             continue
         part = _possible(plan, scene, catalog[scene.name])
@@ -98,7 +98,7 @@ def _subsets(keys: list[Share]) -> list[tuple[Share, ...]]:
 
 
 def _with_categories(plan: Plan, scene: ScenePlan, present: Set[str]) -> ScenePlan | None:
-    """Returns the scene without absent categories, and without the splits of which all categories are absent."""
+    """Returns the scene without absent categories, and without splits that have absent categories only."""
     seen, held_out = (tuple(name for name in names if name in present) for names in scene.categories)
     part: ScenePlan | None = scene
     if (seen, held_out) != tuple(scene.categories):

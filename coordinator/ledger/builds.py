@@ -36,7 +36,7 @@ class BuildRow(Protocol):
 
 
 def budget_of_builds(budget: Budget) -> Budget:
-    """Returns the limits of the build of a layout: one attempt at each seed."""
+    """Returns the limits for building a layout: one attempt at each seed, and at most `LAYOUT_SEEDS` seeds."""
     return budget.model_copy(update={"attempts_per_draw": 1, "draws": LAYOUT_SEEDS})
 
 

@@ -28,12 +28,13 @@ from schemas.protocol.messages import Beat, Lease
 
 HELD_STATES = (JobState.LEASED, JobState.SUBMITTED)
 GRACE = 1.5
-"""Duration of leases after a restart, in lease times; above 1, because no heartbeat arrived during the downtime."""
+"""Duration of leases after a restart, in multiples of the normal duration of a lease. It is more than 1, because no
+heartbeat arrived during the downtime."""
 _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
 _LONGEST_REST_S = 600.0
-"""Upper bound of the pause of any job, seconds."""
+"""Longest remaining pause of a job that `grant_grace` does not end, seconds. No normal pause is as long."""
 
 BY_TOKEN = select(*JOB).where(jobs.c.token == bindparam("of_token"))
 NEXT_ID = (
@@ -181,7 +182,8 @@ def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> 
 def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
     """Restarts every lease after a restart of the coordinator, or after the clock was set.
 
-    The function also ends pauses of jobs that would last until far in the future.
+    The function also ends pauses of jobs that would last more than `_LONGEST_REST_S`, as they can after the clock was
+    set back.
 
     Returns:
         The number of leases.

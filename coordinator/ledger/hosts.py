@@ -25,7 +25,7 @@ from schemas.protocol.status import HostStatus
 from schemas.terms import FailReason
 
 STRIKES = 8
-"""Strikes after which a host is barred; with the pauses between them this takes at least two minutes."""
+"""Number of strikes with which a host is barred. The pauses between them add up to at least two minutes."""
 LONGEST_PAUSE_S = 60.0
 """Longest pause of a host that is not barred, seconds."""
 _FIRST_PAUSE_S = 1.0
@@ -42,7 +42,7 @@ _HALVE_STRIKES = PreparedStatement(
     .values(strikes=hosts.c.strikes // 2, resumes_at=0.0)
 )
 SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
-"""Maximum number of recorded sessions: in total, which is twice the maximum number of connections, and per host."""
+"""Maximum numbers of recorded sessions, in total and per host. The total is twice the maximum number of connections."""
 _SILENT_S = 300.0
 """Time without a message after which a session may be removed in favour of a new one, seconds."""
 _OLDEST = func.min(workers.c.last_beat).label("oldest")
@@ -155,7 +155,7 @@ def is_alone(connection: Connection, host: str, now: datetime) -> bool:
 
 
 def _others(connection: Connection, known: Collection[str], now: datetime) -> bool:
-    """Returns whether a host other than the known ones is available and not barred."""
+    """Returns whether any host that is not in `known` is available and not barred."""
     barred = select(hosts.c.host).where(hosts.c.barred_at.is_not(None))
     since = now.timestamp() - _ABSENT_S
     others = select(workers.c.sid).where(
@@ -165,7 +165,7 @@ def _others(connection: Connection, known: Collection[str], now: datetime) -> bo
 
 
 def _is_of_job(connection: Connection, host: str, row: JobRow, job: JobRow, now: datetime) -> bool:
-    """Returns whether the last strike was for the same job and no other host is available."""
+    """Returns whether the last strike of a host was for this job and no other host is available."""
     return bool(row.strikes) and row.last_job == job.id and is_alone(connection, host, now)
 
 
@@ -193,7 +193,10 @@ def register(connection: Connection, hello: Hello, now: datetime) -> bool:
 
 
 def note_alive(connection: Connection, sid: str, host: str, now: datetime) -> None:
-    """Records the time of a message of a worker, registered or not, within the maximum number of sessions."""
+    """Records the time of a message of a worker, which need not be registered.
+
+    Records nothing for a new session if the maximum number of sessions is reached.
+    """
     is_known = _UPDATE_LAST_BEAT.count(connection, {"by": sid, "now": now.timestamp()}) > 0
     if not is_known and _make_room(connection, host, now):
         connection.execute(insert(workers).values(sid=sid, host=host, slots=1, last_beat=now.timestamp()))

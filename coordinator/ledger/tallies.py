@@ -40,13 +40,15 @@ def install_tallies(connection: Connection) -> None:
 
 
 def job_counts(connection: Connection) -> Select[Any]:
-    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded; builds of
-    layouts are not counted."""
+    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded.
+
+    Builds of layouts are not counted.
+    """
     return select(job_tallies).where(job_tallies.c.tier != BUILD) if _has_tallies(connection) else _COUNT_JOBS
 
 
 def build_counts(connection: Connection) -> dict[str, int]:
-    """Returns the number of layouts that workers build by state; empty if there are none."""
+    """Returns the number of layouts that workers build, by state of the build; empty if there are none."""
     if not _has_tallies(connection):  # ledgers of older versions have no builds
         return {}
     count = select(job_tallies.c.state, func.sum(job_tallies.c.jobs)).where(
@@ -56,7 +58,7 @@ def build_counts(connection: Connection) -> dict[str, int]:
 
 
 def attempt_counts(connection: Connection) -> Select[Any]:
-    """Returns the query for the number of attempts and of their steps by outcome."""
+    """Returns the query for the number of attempts and the sum of their steps, by outcome."""
     return select(attempt_tallies) if _has_tallies(connection) else _COUNT_ATTEMPTS
 
 
@@ -68,7 +70,10 @@ def _has_tallies(connection: Connection) -> bool:
 
 
 def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
-    """Yields the statements that create the triggers of a table; in SQLite, a changed trigger needs a new name."""
+    """Yields the statements that create the triggers of a table.
+
+    SQLite keeps an existing trigger of the same name, so a changed trigger needs a new name there.
+    """
     add, subtract = _add(tally), _subtract(tally)
     if dialect == "postgresql":
         name = f"count_{counted.name}"
@@ -88,7 +93,7 @@ def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
 
 
 def _watched(tally: Table) -> str:
-    """Returns the columns of the counted table by which its rows are counted."""
+    """Returns the key columns of a tally, as SQL: the rows of the counted table are counted by the same columns."""
     return ", ".join(column.name for column in tally.primary_key)
 
 
@@ -109,7 +114,10 @@ def _subtract(tally: Table) -> str:
 
 
 def _amount(name: str, tally: Table, row: str = "NEW") -> str:
-    """Returns what a row adds to a column of the tally: 1 to the number of rows, otherwise the value of the row."""
+    """Returns, as SQL, what a row of the counted table adds to the column `name` of a tally.
+
+    A row adds 1 to the number of rows, and its own value to a sum such as `steps`.
+    """
     return "1" if name == tally.name.replace("_tallies", "s") else f"{row}.{name}"
 
 

@@ -33,7 +33,7 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 
 _HOST_SHARE = 8
-"""The limits of one host are the total limits divided by this number. Several busy hosts leave capacity for others."""
+"""The limits of one host are the total limits divided by this number, so a few busy hosts cannot use up the total."""
 _READS_WAITING = 16
 _WAITING_BYTES = 16 << 20
 """Maximum total size of messages that wait for the ledger, bytes; a parsed message takes ten times as much memory."""
@@ -203,7 +203,7 @@ class RequestHandler(Closing):
             self._note_joined(request.message)
 
     def _note_joined(self, hello: Hello) -> None:
-        """Logs the first registration of a session; workers repeat it."""
+        """Logs and reports the first registration of a session. Workers repeat their registration."""
         if hello.sid in self._joined:
             return
         if len(self._joined) >= hosts.SESSIONS:

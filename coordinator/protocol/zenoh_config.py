@@ -17,14 +17,14 @@ from schemas.protocol.identity import Role, TlsFiles
 
 _MAX_MESSAGE_BYTES = 4 << 20
 _MAX_SESSIONS, _MAX_PENDING_CONNECTIONS = 5000, 4000
-"""Maximum number of sessions, and of connections without a session. Beyond the second limit zenoh closes new
-connections immediately, including legitimate ones."""
+"""Maximum number of sessions, and maximum number of connections that have no session yet. Beyond the maximum of such
+connections, zenoh closes every new connection immediately, even that of a legitimate client."""
 _HANDSHAKE_TIMEOUT_MS = 1000
 """Timeout of the handshake of a new connection, milliseconds. The handshake takes two round trips, and a client that is
 too slow reconnects. With zenoh's default of 10 s, 1,500 idle connections blocked all clients for 13 s."""
 _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
-"""Timeouts of connecting and of opening a link, milliseconds. Closing a session waits for a reconnect in progress,
-which with a frozen router lasts for the second timeout; its default is 10 s."""
+"""Timeout of connecting, and timeout of opening a link, milliseconds. Closing a session waits for a reconnect in
+progress. A reconnect to a frozen router takes as long as the timeout of opening a link; zenoh's default is 10 s."""
 
 
 def router_config(
@@ -53,7 +53,7 @@ def router_config(
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
     if not connect:
-        values["scouting/delay"] = "0"  # with zenoh's default, such a session opens 0.5 s later
+        values["scouting/delay"] = "0"  # zenoh's default delays opening a session without `connect` by 0.5 s
     if tls is not None and listen:
         values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
     if tls is not None and connect:

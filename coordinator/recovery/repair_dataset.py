@@ -190,7 +190,7 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
 
 
 def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
-    """Yields the tables that differ from the ledger, or will differ after the other actions."""
+    """Yields an action for each table that differs from the ledger, or will differ after the other actions."""
     for name, why in _table_findings(dataset.root, ledger).items():
         yield Action(kind=RepairKind.REWRITE, what=name, why=why)
     if changes and ledger is not None:

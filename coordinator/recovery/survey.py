@@ -31,7 +31,7 @@ class Survey:
     whole: int = 0
     """Number of episode files that equal their ledger record."""
     adopt: list[EpisodeSummary] = field(default_factory=list)
-    """Intact episodes of the plan without an equal ledger record."""
+    """Intact episodes of the plan whose ledger record is missing or differs from the file."""
     restore: list[tuple[Place, EpisodeSummary]] = field(default_factory=list)
     """Intact episodes of the plan that exist in the quarantine folder only, with their paths."""
     quarantine: list[tuple[FilePlace, str]] = field(default_factory=list)
@@ -81,7 +81,10 @@ def survey_archive(
 def _read_files(
     files: Mapping[int, FilePlace], recorded: Mapping[int, RecordedFile], on_progress: ProgressCallback
 ) -> dict[int, ListedFile]:
-    """Returns the files, with the digest if the size is as recorded; reports progress for each intact file."""
+    """Returns size and digest of each file; reports progress for each file that equals its record.
+
+    The digest is omitted if the file has no record or not the recorded size.
+    """
     found, done = {}, count(1)
     for index, path in files.items():
         found[index] = _read_file(path, recorded.get(index))
@@ -113,7 +116,8 @@ def _classify(
         result.adopt.append(verdict)
         return
     result.quarantine.append((path, f"{change}; {verdict}" if change else verdict))
-    if change and record is not None and record.gateway is None:  # otherwise the gateway has the file
+    # an episode that a gateway stores is not lost
+    if change and record is not None and record.gateway is None:
         result.requeue.append((index, change))
 
 

@@ -35,7 +35,8 @@ class Snapshot:
     reserve_bytes: int
     """Free space below which no job is leased, bytes."""
     backlog: int
-    """Number of requests that wait for the ledger's writer; at a gateway, of bundles that wait for a puller."""
+    """Number of requests that wait for the ledger's writer; for a gateway, number of bundles that are queued or in
+    transfer."""
     sandbox: tuple[str, ...]
     """Active sandbox layers of the validating processes; empty before the first bundle."""
 

@@ -209,7 +209,7 @@ def _varies_light(appearance: Appearance | None) -> bool:
 
 
 def with_shards(card: str, shards: int) -> str:
-    """Returns a card that states the number of shards; a card without shards has no such line."""
+    """Returns the card with the current number of shards. If there are no shards, the line is removed."""
     lines = [line for line in card.splitlines(keepends=True) if not line.startswith(_SHARDS)]
     at = next((number for number, line in enumerate(lines) if line.startswith("- `data/")), len(lines))
     said = f"{_SHARDS}ZIP files of episodes, {shards} in total; `shards.parquet` lists the place of each episode.\n"
@@ -217,7 +217,7 @@ def with_shards(card: str, shards: int) -> str:
 
 
 def _software_part(aggregates: TableAggregates, stores_frames: bool) -> str:
-    """Returns the software and machines that make identical bytes."""
+    """Returns the part of the card that lists the software and machines that make the same frames, byte for byte."""
     rows = set()
     for renderer, software, cpu in aggregates.makers:
         versions = json.loads(software)

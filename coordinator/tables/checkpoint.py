@@ -83,7 +83,10 @@ class Checkpoints:
         return meta
 
     def _present_scenes(self) -> dict[str, str]:
-        """Returns the digests of the packages in the order of the plan; computes the sides of new packages."""
+        """Returns the package digest of each scene in the catalog, in the order of the plan.
+
+        Computes the sides of the instances in scenes that are new in the catalog.
+        """
         parts = [part for part in self._plan.parts if part.name in self._catalog]
         for part in parts:
             entry = self._catalog[part.name]
@@ -118,7 +121,7 @@ def has_changes(connection: Connection, since: int) -> bool:
 
 
 def _changes(connection: Connection, since: int) -> TableChanges:
-    """Returns the episodes whose rows have changed after an event; the ledger adds an event to each change."""
+    """Returns the episodes whose rows have changed since an event; the ledger records an event with each change."""
     query = (
         select(events.c.event, jobs.c.idx)
         .join(jobs, jobs.c.id == events.c.job_id)

@@ -49,7 +49,7 @@ class ListedRows:
             self._groups[group_of(int(row.episode_id.removeprefix("ep_")))].append(row)
 
     def rows(self, first: int, last: int) -> Iterable[Model]:
-        """See `RowSource`; the numbers are those of one row group."""
+        """See `RowSource`; `first` and `last` must be the limits of one row group."""
         assert last == first + GROUP_ROWS - 1
         return self._groups.get(group_of(first), ())
 
@@ -63,7 +63,7 @@ class _Written:
 
 
 class GroupedTable:
-    """Table of one dataset; keeps the row groups that it wrote last.
+    """Table of one dataset. Remembers the row groups of its last write, to copy those that have not changed.
 
     Args:
         name: file name.
@@ -123,7 +123,7 @@ def _opened(place: Place) -> AbstractContextManager[BinaryIO | None]:
 
 
 def _copied(writer: RowGroupWriter, former: BinaryIO | None, kept: _Written | None) -> _Written | None:
-    """Copies a row group of the previous file; returns `None` if that is not possible."""
+    """Copies an unchanged row group from the previous file. Returns `None` if the group must be written from rows."""
     group = writer.copy(former, kept.group) if former is not None and kept is not None else None
     return None if group is None or kept is None else _Written(group, kept.aggregates)
 

@@ -20,13 +20,13 @@ from schemas.support.closing import Closing
 _MARK = b"PAR1"
 _LENGTH_BYTES = 4
 _ROWS, _GROUPS = 3, 4
-"""Fields of `FileMetaData`: number of rows, row groups."""
+"""Field numbers in `FileMetaData`: the number of rows, and the list of row groups."""
 _COLUMNS, _GROUP_OFFSETS = 1, (5,)
-"""Fields of `RowGroup`: column chunks, offset of the first page."""
+"""Field numbers in `RowGroup`: the list of column chunks, and the offset of the first page."""
 _COLUMN, _CHUNK_OFFSETS = 3, (2, 4, 6)
-"""Fields of `ColumnChunk`: first the description of the column, then the offsets of the chunk and of its indexes."""
+"""Field numbers in `ColumnChunk`: the description of the column, and the offsets of the chunk and of its indexes."""
 _COLUMN_OFFSETS = (9, 10, 11, 14)
-"""Fields of `ColumnMetaData`: offsets of the first data, index and dictionary page, and of the Bloom filter."""
+"""Field numbers in `ColumnMetaData`: offsets of the first data, index and dictionary page, and of the Bloom filter."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RowGroup:
     rows: int
     """Number of rows."""
     description: bytes
-    """Encoded `RowGroup` of the file's footer."""
+    """Thrift structure `RowGroup` in the footer of the file, encoded."""
 
 
 class RowGroupWriter(Closing):
@@ -69,7 +69,9 @@ class RowGroupWriter(Closing):
         return self._append(data, len(table), encode(_moved(group, self._end - len(_MARK))))
 
     def copy(self, former: BinaryIO, group: RowGroup) -> RowGroup | None:
-        """Appends a row group of another file with the same schema; returns `None` if its bytes have changed.
+        """Appends a row group of another file with the same schema.
+
+        Returns `None` if the bytes of the group have changed or cannot be read.
 
         Args:
             former: file that contains the group.
@@ -115,7 +117,7 @@ def _encode_alone(table: pa.Table) -> tuple[bytes, list[Field]]:
 
 
 def _moved(group: list[Field], by: int) -> list[Field]:
-    """Returns the description of a row group that is moved by some bytes in its file."""
+    """Returns the description of a row group whose offset in the file has changed by `by` bytes."""
     chunks: Items = _value(group, _COLUMNS)
     moved = Items(chunks.kind, [_moved_chunk(chunk, by) for chunk in chunks.values])
     return [
@@ -131,7 +133,7 @@ def _moved_chunk(chunk: list[Field], by: int) -> list[Field]:
 
 
 def _shifted(fields: list[Field], numbers: Collection[int], by: int) -> list[Field]:
-    """Returns the fields with `by` added to the given offsets, except to offsets of 0, which mean "none"."""
+    """Returns the fields with `by` added to the offsets with the given field numbers; an offset of 0 means "none"."""
     return [
         field._replace(value=field.value + by) if field.id in numbers and field.value else field for field in fields
     ]

@@ -110,7 +110,10 @@ def _check_thumbnails(root: Place, table: SplitTable) -> str:
 
 
 def _missing_thumbnails(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
-    """Returns a message on missing thumbnails whose episode files exist; a gateway may store the other files."""
+    """Returns a message about thumbnails that are missing although the episode file exists; empty if there are none.
+
+    A thumbnail may be missing if the episode file is not in the dataset, because a gateway may store that file.
+    """
     if not has_pictures(root):
         return ""
     lacking = [row for row in table.sources() if row["content_digest"] not in pictures]

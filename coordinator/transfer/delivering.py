@@ -55,7 +55,7 @@ class Deliverer:
         self._on_archived, self._on_failure = on_archived, on_failure
 
     def deliver(self, arrivals: Sequence[Arrival]) -> None:
-        """Validates, publishes and records bundles, in groups; refuses those that are invalid.
+        """Validates, publishes and records bundles as a group; refuses invalid bundles.
 
         Raises:
             TransientError: the bundles cannot be validated or recorded now.
@@ -70,7 +70,10 @@ class Deliverer:
             self._publish(list(self._valid(episodes)))
 
     def _is_whole(self, arrival: Arrival) -> bool:
-        """Returns whether the file has the announced digest, or is linked: then the validator computes the digest."""
+        """Returns whether the file has the announced digest; refuses the bundle if not.
+
+        A linked file is accepted, because the digest that the validator computes is compared later.
+        """
         pull, staged = arrival
         return staged.is_linked or self._is_announced(pull, staged.sha256)
 

@@ -24,7 +24,7 @@ from schemas.protocol.keys import MAX_RANGES, BundleRange, Chunk
 from schemas.protocol.messages import Lease
 
 _TURN_S = 0.25
-"""Duration of a turn of one bundle while others wait, seconds."""
+"""Time after which the turn of a bundle ends if bundles of other hosts wait, seconds."""
 _FAILURES = 5
 """Number of failed transfers after which a bundle may be refused."""
 _SMALL_BYTES = 64 << 10
@@ -100,7 +100,7 @@ class Fetcher:
         settings: settings of the coordinator.
         meters: counters of the coordinator.
         find_local_bundle: function that finds a bundle on this machine.
-        refusals: reports bundles that no worker serves, or too slowly.
+        refusals: reports bundles that their worker does not serve, or serves too slowly.
         has_others: function that takes a host and returns whether bundles of other hosts wait.
         stop: event that ends transfers at the next chunk.
     """
@@ -127,7 +127,10 @@ class Fetcher:
         """Mapping of episode number to the failed transfers of its bundle."""
 
     def joins(self, turn: Sequence[Transfer], transfer: Transfer) -> bool:
-        """Returns whether a bundle can be fetched with those of a turn: all must be small and in the same spool."""
+        """Returns whether a bundle can be fetched in one request with the bundles of a turn.
+
+        All bundles must be small and belong to the same session of a worker.
+        """
         size = sum(each.pull.size for each in turn) + transfer.pull.size
         return (
             len(turn) < _TOGETHER
@@ -138,7 +141,7 @@ class Fetcher:
         )
 
     def begin(self, turn: Sequence[Transfer]) -> list[Transfer]:
-        """Opens the part files of bundles; returns the bundles that are needed.
+        """Opens part files for the bundles of a turn that are still needed, and returns these bundles.
 
         Raises:
             TransientError: there is too little free space, or the ledger is unavailable.
@@ -210,7 +213,7 @@ class Fetcher:
             self._rest.update((pull.job.index, pull.size) for pull in pulls)
 
     def _link_local_bundle(self, pull: Pull, staged: Staged) -> None:
-        """Links a bundle on the archive's disk instead of transferring and copying it."""
+        """Makes the part file a hard link to the bundle, if possible, so the bundle need not be transferred."""
         try:
             source = self._find_local_bundle(pull.lease)
             if source is not None and source.stat().st_size == pull.size:
@@ -230,7 +233,7 @@ class Fetcher:
         self.forget(transfers)
 
     def _fetch_in_chunks(self, host: str, transfer: Transfer) -> bool:
-        """Fetches chunks for one turn; returns whether the transfer has ended: it is complete or too slow."""
+        """Fetches chunks for one turn. Returns whether the transfer has ended, because it is complete or too slow."""
         pull, staged, started = transfer.pull, transfer.open_file, time.monotonic()
         earlier_s = transfer.seconds
         while staged.size < pull.size:
@@ -258,7 +261,7 @@ class Fetcher:
             raise TransientError("the coordinator is closing; the bundle waits in its spool")
 
     def _record_failure(self, pull: Pull, size: int) -> None:
-        """Records a failed transfer; refuses the bundle if repeated transfers fall below the least rate."""
+        """Records a failed transfer. After several failures below the least transfer rate, refuses the bundle."""
         now = time.monotonic()
         with self._guard:
             failures = self._failed.get(pull.job.index)

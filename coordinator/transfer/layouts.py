@@ -133,7 +133,7 @@ class LayoutStore:
     def _remove_others(self, layout: str, entry: SceneEntry) -> None:
         """Removes packages of the layout whose builds were not recorded.
 
-        They can exist because the bytes of a package depend on the processor that builds it.
+        Such packages can exist because the bytes of a package depend on the processor that builds it.
         """
         for path in (self.state_dir / SCENES).glob(f"{layout}-*.scene.zip"):
             if path != entry.path:

@@ -127,11 +127,11 @@ class Pullers(Closing):
             self._busy.difference_update(transfer.pull.job.index for transfer in transfers)
 
     def _serve(self, host: str, turn: list[Transfer]) -> list[Transfer]:
-        """Serves one turn; returns the transfers that continue in a later one."""
+        """Serves one turn; returns the transfers that continue in a later turn."""
         try:
             return [] if self._stop.is_set() else self._advance(host, turn)
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
-            if len(turn) > 1:  # a separate turn for each bundle shows which one is faulty
+            if len(turn) > 1:  # with a separate turn for each bundle, only the faulty bundle fails again
                 log.debug("served_apart", host=host, bundles=len(turn), error=str(error))
                 for transfer in turn:
                     transfer.restart()

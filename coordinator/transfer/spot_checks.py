@@ -50,8 +50,8 @@ class SpotCheckedValidation:
     Args:
         checker: validator of bundles.
         meters: counters of the coordinator.
-        share: share of spot checks, 0 to 1: bundles that are validated completely although their worker has validated
-            them. `None` validates all bundles completely.
+        share: share of the bundles that are validated completely although their worker has validated them, 0 to 1.
+            `None` validates all bundles completely.
         secret: key of the draw; by default new random bytes.
     """
 
@@ -59,7 +59,8 @@ class SpotCheckedValidation:
         self._checker, self._meters, self._share = checker, meters, share
         self._secret = secret or secrets.token_bytes(32)
         self._is_trusted: dict[str, bool] = {}
-        """Result of the complete validations by host; hosts without a complete validation are missing."""
+        """Whether bundles of a host may be validated without their frames, by host: `True` after a bundle that was
+        validated completely and is valid, always `False` after an invalid bundle. Other hosts are missing."""
 
     def validate(self, arrivals: Sequence[Arrival]) -> list[ValidatedBundle | InvalidBundle]:
         """Validates bundles; returns the result or the violations of each.

@@ -91,7 +91,7 @@ class _Survey:
         self.note(*(f"frame {t}: {text}" for text in self._image_findings(depth, ids)))
 
     def _image_findings(self, depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> list[str]:
-        """Checks the extreme values first, and examines all pixels only if the extremes are inconclusive."""
+        """Returns faults of depth and ids. Examines all pixels only if the extreme values do not rule out a fault."""
         nearest, farthest = float(depth.min()), float(depth.max())
         found = DEPTH_FRAME.range_violations(nearest, farthest)
         if not self._known[: int(ids.max()) + 1].all():
@@ -124,7 +124,7 @@ def _disagreement(depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> list[s
 
 
 def _ends_of_runs(ids: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Returns one id per run of equal pixels, which covers all ids of the image at a lower cost than all pixels."""
+    """Returns one id for each run of equal ids: every id of the image, in an array much smaller than the image."""
     flat = ids.reshape(-1)
     return np.append(flat[np.flatnonzero(flat[1:] != flat[:-1])], flat[-1:])
 
@@ -143,7 +143,7 @@ class _FrozenImages:
 
     def take(self, t: int, image: Image) -> list[str]:
         if self._last is None or not _are_same(image, self._last) or not image.any():
-            self._last, self._since, self._told = image, t, False  # equal images are permitted if they are empty
+            self._last, self._since, self._told = image, t, False  # an empty image may stay the same
             return []
         moved_m = float(np.hypot(*(self._xy[t] - self._xy[self._since])))
         turned = abs(float((self._yaw[t] - self._yaw[self._since] + np.pi) % (2 * np.pi) - np.pi))

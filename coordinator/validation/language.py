@@ -53,7 +53,7 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
 
 
 def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str:
-    """Returns why the sentence cannot result from one planned error in its error-free version; empty if it can."""
+    """Returns why the recorded kind of error is not planned, or does not explain the sentence; empty if it does."""
     assert said.clean is not None
     if said.mistake is None or not spec.mistakes.get(said.mistake):
         return "its error is not planned"
@@ -61,7 +61,9 @@ def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str
 
 
 def said_findings(bundle: BundleReader, package: Path | None) -> list[str]:
-    """Returns all findings about the verified instruction and the questions of an episode; none if it has a template.
+    """Returns all findings about the verified instruction and the questions of an episode.
+
+    Returns none if the instruction comes from a template, or without a package.
 
     Args:
         bundle: valid bundle of the episode.

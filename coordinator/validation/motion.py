@@ -39,18 +39,18 @@ measured."""
 CONTACT_YAW_STEP_SLACK_RAD = 0.08
 """Tolerated turn per step with contact, radians. Off-centre pushes turn the robot by less than 0.034 (measured)."""
 PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
-"""Tolerance (metres, share) of the driven distance in a window without contact. Wheels follow commands to 0.2 %."""
+"""Tolerance (metres, share) of the driven distance in a window without contact. Wheels follow commands within 0.2 %."""
 TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.10, 0.10
 """Tolerance (radians, share) of the turned angle in a window without contact and skid."""
 SKID_TURN = 4.0
-"""Additional tolerated turn, radians, per radian of turn commanded at 1 m/s; proportional to the speed. The
+"""Additional tolerated turn in fast bends: radians per radian of commanded turn and per m/s of commanded speed. The
 tail-heavy robot oversteers in fast bends and can spin at 5 rad/s (4 of 700 episodes, all timeouts). Slow turns and
 straight motion have no allowance."""
 SKID_PATH_M = 1.0
-"""Additional tolerated error of the driven distance, metres per second of a bend with 1 m/s2. While spinning, up to
-0.65 was measured."""
+"""Additional tolerated error of the driven distance: metres per second in a bend, and per m/s2 of the bend. For a
+spinning robot, up to 0.65 was measured."""
 SKID_STEP_M = 0.008
-"""Tolerated lateral or backward displacement per step, metres per m/s2 of a fast bend."""
+"""Additional tolerated displacement per step in a bend, in any direction: metres per m/s2 of the bend."""
 SKID_STEPS = 90
 """Number of periods for which a skid may outlast its bend."""
 WINDOW_STEPS = 60

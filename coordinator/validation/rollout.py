@@ -90,7 +90,7 @@ def _statistics_findings(meta: EpisodeMeta, track: TrackMeasure, frames: int) ->
 
 
 def _surface_findings(meta: EpisodeMeta, track: TrackMeasure) -> list[str]:
-    """Compares the distances to the footprint; episodes of older versions record none."""
+    """Compares the recorded distances to the footprint with the poses; older versions record no such distances."""
     found = []
     for name in ("spawn_surface_m", "final_surface_m"):
         said, measured = getattr(meta.rollout, name), getattr(track, name)

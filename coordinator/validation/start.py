@@ -74,7 +74,7 @@ def choice_findings(meta: EpisodeMeta) -> list[str]:
 def _choice_findings(
     meta: EpisodeMeta, choice: TargetChoice, ids: NDArray[np.uint16], candidates: Sequence[Target]
 ) -> list[str]:
-    """Returns the differences between the recorded objects that could be the target, and those of the first frame."""
+    """Returns how the recorded choices, the objects that could be the target, contradict the first frame."""
     if {each.instance_id for each in candidates} != set(choice.among):
         hidden = sorted(set(meta.choices).difference(ids_in_view(ids, meta.job.gains.min_mask_px)))
         return [f"objects {hidden} are not in view, but recorded as possible targets"] if hidden else []

@@ -22,7 +22,7 @@ from schemas.scene import Target
 from schemas.terms import Recording
 
 _STRIDE = 8
-"""Distance between two decoded frames or measurements of a sample
+"""With `Scope.SAMPLE`, one in this many frames and measurements is decoded
 (docs/decisions/0151-decode-one-frame-in-eight-of-the-bundles-of-a-run-on-one-machine.md)."""
 
 
@@ -67,7 +67,7 @@ def validate(
         survey = survey_frames(bundle, steps, on_frame)
         findings += survey.findings
         if len(survey.digests) < len(steps):
-            return findings  # the remaining checks need every frame
+            return findings  # a frame cannot be decoded, but the remaining checks need all selected frames
         findings += visibility_findings(meta, survey.target_pixels)
         findings += arrival_findings(meta, survey.target_pixels[bundle.length - 1])
         findings += start_findings(meta, arrays, bundle.ids(0), bundle.depth(0), candidates)
@@ -75,9 +75,9 @@ def validate(
 
 
 def sampled_frames(meta: EpisodeMeta) -> list[int]:
-    """Returns the steps of the first and the last frame and of one frame in `_STRIDE`.
+    """Returns the steps of the first frame, of every `_STRIDE`-th frame and of the last frame.
 
-    The content digest selects the steps, so they differ between episodes.
+    The content digest determines which step the stride starts with, so the steps differ between episodes.
     """
     last = meta.rollout.num_steps - 1
     return sorted({0, *range(int(meta.content_digest, 16) % _STRIDE, last, _STRIDE), last})

@@ -93,7 +93,7 @@ def main(arguments: list[str]) -> int:
     limits = ValidatorLimits.model_validate_json(arguments[0])
     orders = socket.socket(fileno=0)
     for code in LANGUAGES:
-        grammar(code)  # loaded before the sandbox forbids opening files; jobs are compared with the grammars
+        grammar(code)  # checking a job needs the grammars, and the sandbox forbids opening files
     layers = confine(limits.memory_bytes)
     sys.stdout.write(f"ready {' '.join(layers)}\n")
     sys.stdout.flush()

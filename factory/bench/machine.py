@@ -48,7 +48,7 @@ def reset_peak() -> None:
 
 
 def measure_memory(start_mib: float, pid: int | str = "self") -> Memory:
-    """Returns the current and peak memory of a process, together with its memory at the start."""
+    """Returns the memory of a process: the given memory at the start, the current memory and the peak memory."""
     return Memory(start_mib=start_mib, end_mib=resident_mib(pid), peak_mib=_peak_mib(pid))
 
 
@@ -63,7 +63,7 @@ def cpu_s_of_children() -> float:
 
 
 def _peak_mib(pid: int | str) -> float:
-    # the maximum of getrusage would survive an exec and so include the memory of the parent process
+    # the kernel keeps the maximum of getrusage across an exec, so it would include the memory of the parent process
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmHWM:"):
             return round(int(line.split()[1]) / 1024, 1)

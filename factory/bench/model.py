@@ -52,9 +52,10 @@ class Memory(Model):
     """Resident memory of a process, MiB."""
 
     start_mib: float
-    """Memory after the first episode, with scene, shaders and buffers; for `factory bench memory`, before it."""
+    """Memory before the measured work, MiB. `factory bench rollout` measures it after the warm-up episode, when scene,
+    shaders and buffers are loaded; `factory bench memory` measures it before the first episode."""
     end_mib: float
-    """Memory after the last episode, MiB."""
+    """Memory at the end of the measured work, MiB."""
     peak_mib: float
     """Peak memory, MiB."""
 
@@ -74,26 +75,26 @@ class SceneRollout(Model):
     """Result of the complete loop in one scene."""
 
     frames_per_s_per_core: float
-    """Median over the repetitions, frames per second of wall time, one simulation on one core; includes start-up."""
+    """Median of `wall`: frames per second of one simulation on one core. Includes the start of each episode."""
     frames_per_cpu_s: float
-    """Median frames per second of CPU time, which other processes on the machine do not affect."""
+    """Median of `cpu`, which other processes on the machine do not affect."""
     wall: Spread
     """Frames per second of wall time."""
     cpu: Spread
     """Frames per second of CPU time."""
     by_job: Spread
-    """Frames per second of wall time for single episodes of one repetition, which shows the influence of the view."""
+    """Frames per second of wall time over the episodes of the first repetition. Shows the influence of the view."""
     stages: tuple[StageCost, ...]
     delivery: tuple[StageCost, ...]
     """Cost of `validate` and `archive` in the coordinator; not included in the values above."""
     episodes: int
-    """Number of successful, timed episodes."""
+    """Number of successful episodes in each repetition."""
     frames: int
-    """Number of frames in these episodes, per repetition."""
+    """Number of frames of the successful episodes in each repetition."""
     failed_attempts: int
-    """Number of failed attempts of the same jobs, per repetition; not included in the values above."""
+    """Number of failed attempts in each repetition; not included in the values above."""
     failed_share_of_time: float
-    """Share of the total wall time that failed attempts take."""
+    """Wall time of failed attempts as a share of the wall time of all attempts."""
     kb_per_frame: dict[str, float]
     """Stored size per frame by kind of member, kB (1000 bytes)."""
     memory: Memory
@@ -110,7 +111,7 @@ class CollectPace(Model):
     episodes: int
     """Number of archived episodes of each run."""
     attempts: int
-    """Number of attempts of the first run, failed ones included."""
+    """Number of attempts in the first run, including failed attempts."""
     episodes_per_hour: Spread
     """Archived episodes per hour of wall time, start and end of the run included."""
     cpu_s_per_episode: Spread
@@ -124,12 +125,12 @@ class CollectBench(Model):
     machine: Machine
     plan: str
     screening: str
-    """Selection of the starts of the plan."""
+    """Rule by which the plan selects start poses, see `Plan.screening`."""
     workers: int
     """Number of simulation processes."""
     repeats: int
     variants: dict[str, CollectPace]
-    """Pace by recording and expert."""
+    """Recording and expert, such as `states, planner` -> pace."""
 
 
 class MemoryBench(Model):
@@ -142,7 +143,7 @@ class MemoryBench(Model):
     """Names of the scenes, in the order of execution."""
     episodes: int
     succeeded: int
-    """Number of successful episodes among those without the short step limit."""
+    """Number of successful episodes. Most episodes have a short step limit and end before they can succeed."""
     frames: int
     """Total number of frames."""
     settled_mib: float
@@ -160,7 +161,7 @@ class RolloutBench(Model):
     renderer: str
     plan: str
     screening: str
-    """Selection of the starts of the plan."""
+    """Rule by which the plan selects start poses, see `Plan.screening`."""
     repeats: int
     scenes: dict[str, SceneRollout]
 
@@ -170,14 +171,16 @@ class SceneRender(Model):
 
     frames: int
     frames_per_s: Spread
-    """Frames of three images per second of wall time."""
+    """Frames per second of wall time; a frame has three images: colour, depth and ids."""
     stages: tuple[StageCost, ...]
     without_colour: tuple[StageCost, ...]
-    """Cost of depth and ids without colour, as an expert uses them; empty if the size is not 640 pixels."""
+    """Cost of rendering only depth and ids, which an expert uses. Empty if the size is not 640 pixels, or with
+    antialiasing."""
     triangles: int
     """Number of triangles in the scene."""
     triangles_in_view: float
-    """Mean number of triangles per frame in parts whose bounding box intersects the view, occluded or not."""
+    """Mean number of triangles per frame of the scene parts whose bounding box intersects the view. Occluded parts are
+    included."""
 
 
 class RenderBench(Model):
@@ -212,7 +215,7 @@ class DeliveryLoad(Model):
     """Wall time until the last bundle was archived and deleted, seconds."""
     mb_per_s: float
     claims: int
-    """Number of claims by the other worker during that time."""
+    """Number of claims that the other worker sent during the deliveries."""
     claim_p50_ms: float
     claim_p99_ms: float
     memory: Memory
@@ -223,13 +226,13 @@ class WireBench(Model):
     """Result for a complete coordinator in a separate process, with worker processes over zenoh on loopback."""
 
     cycles_per_s: Spread
-    """Cycles of claim and announcement per second of wall time; each reply is sent when the change is durable."""
+    """Cycles of claim and announcement per second of wall time. The coordinator replies when a change is durable."""
     archived_per_s: Spread
-    """Small bundles pulled and archived per second during these cycles; the remaining bundles stay queued."""
+    """Small bundles that the coordinator pulls and archives per second while the workers claim and announce."""
     coordinator_cpu_ms: Spread
     """CPU time of the coordinator process per cycle, including the concurrent pulling, milliseconds."""
     workers_cpu_ms: Spread
-    """CPU time of the worker process per cycle, on the same cores, milliseconds."""
+    """CPU time of the worker process per cycle, milliseconds. The worker process uses the cores of the coordinator."""
     start_s: Spread
     """Time from the start of the coordinator with a filled ledger until it listens, seconds."""
     session_load: SessionLoad
@@ -256,9 +259,9 @@ class CoordinatorBench(Model):
     validate_ms_per_frame: Spread
     """Wall time to validate real bundles in the validation process, milliseconds per frame."""
     pullers: int
-    """Number of validating processes that work at a time."""
+    """Number of validating processes that work at the same time."""
     validated_frames_per_s: Spread
-    """Frames of real bundles that these processes validate together, per second of wall time."""
+    """Frames of real bundles per second of wall time, summed over the `pullers` validating processes."""
     archive_mb_per_s: Spread
     """Throughput of copy, hash, fsync and rename of real bundles, MB per second of wall time."""
     memory: Memory
@@ -280,9 +283,10 @@ class ReadBench(Model):
     random_frames_per_s: Spread
     """Random frames of random episodes (colour, depth and ids) per second of wall time, on one core."""
     random_frames_per_cpu_s: Spread | None
-    """Such frames per second of CPU time; `None` if frames are rendered, which takes place in another process."""
+    """The same frames per second of CPU time of this process. `None` if another process renders the frames."""
     by_image: dict[str, Spread]
-    """Random single images per second of wall time, by kind of image; empty if the size is not 640 pixels."""
+    """Kind of image -> random single images per second of wall time. Empty if the size is not 640 pixels, or with
+    antialiasing."""
     open_ms: Spread
     """Time to open an episode and read its first array, milliseconds."""
     loader_workers: int

@@ -13,7 +13,7 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
     """Returns the plan with `episodes` episodes in each of these scenes, or in all scenes if `scenes` is empty.
 
     Raises:
-        UsageError: The plan does not have one of the scenes, or has fewer episodes of it.
+        UsageError: A scene is not in the plan, or the plan has fewer than `episodes` episodes in a scene.
     """
     names = list(scenes) or [scene.name for scene in plan.scenes]
     parts = tuple(shrink(plan, scenes=(name,), episodes=1).scenes[0] for name in dict.fromkeys(names))

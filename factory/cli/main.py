@@ -124,7 +124,7 @@ def cli() -> None:
 def main() -> None:
     """Runs the command line and exits with the exit code of the command."""
     _set_environment()
-    os.environ[SAFE_PATH] = "1"  # for the processes that multiprocessing starts
+    os.environ[SAFE_PATH] = "1"  # inherited by the processes that multiprocessing starts
     sys.exit(_run())
 
 

@@ -33,7 +33,7 @@ _LATER = pa.schema(
 """Columns that later versions of this software added; null in tables that lack them."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ROWS_PER_SINGLE = 3000
-"""Number of rows whose columns can be read in the time that reading one row from its row group takes."""
+"""Reading one row from its row group takes about as long as reading all columns of this number of rows."""
 _SMALL_INTEGERS = (pa.int8(), pa.int16(), pa.int32())
 
 
@@ -61,7 +61,7 @@ class Columns:
         """Number of rows."""
 
     def __getitem__(self, name: str) -> pa.Array:
-        """Returns a column: text whose values repeat as a dictionary array, integers in the smallest type that fits.
+        """Returns a column. Repeated text is stored as a dictionary array, and integers in the smallest type that fits.
 
         Raises:
             ArchiveCorrupt: The column is damaged.
@@ -86,7 +86,7 @@ class Columns:
 
     def _open(self) -> pq.ParquetFile:
         found = table_of(self._path)
-        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # an open file stays readable
+        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # stays readable if it is replaced
         footer = pq.read_metadata(source)
         names = footer.schema.to_arrow_schema().names
         missing = [name for name in NAMES if name not in {*names, *_LATER.names}]

@@ -297,7 +297,7 @@ class _Opened:
 
 
 def _refusal(path: FilePlace, file: BinaryIO, steps: int) -> ArchiveCorrupt:
-    """Returns the error for a bundle that does not have the expected number of steps."""
+    """Returns the error for a bundle that is damaged or does not have the expected number of steps."""
     try:
         own = BundleReader(file)
     except InvalidBundle as error:

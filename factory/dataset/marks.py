@@ -68,7 +68,7 @@ def excluded_in(path: Path) -> list[str]:
 
 
 class Marks:
-    """Flags and notes of a dataset; thread-safe. For a dataset in object storage they are in its state directory.
+    """Flags and notes of a dataset; thread-safe. For a dataset in object storage, the file is in the state directory.
 
     Args:
         site: location of the dataset.
@@ -87,7 +87,7 @@ class Marks:
         return read_marks(self._path)
 
     def write(self, episode_id: str, mark: Mark) -> None:
-        """Replaces flag and note of an episode; without both, the episode is removed from the file.
+        """Replaces flag and note of an episode. An episode with neither a flag nor a note is removed from the file.
 
         Raises:
             WorldError: the file is damaged or cannot be written.

@@ -114,7 +114,7 @@ def light_file(package: Path, sha256: str) -> Path:
 
 
 def find_package_file(root: Place, name: str, sha256: str) -> Path:
-    """Returns the package of a scene with that digest, from the dataset or a folder of `MINIVLA_SCENES`.
+    """Returns the package of a scene with the given digest, from the dataset or a folder of `MINIVLA_SCENES`.
 
     Raises:
         ArchiveCorrupt: No package has the digest; the message lists the digests found and the folders.
@@ -173,7 +173,9 @@ def package_file(place: Place) -> Path:
 
 
 def package_copy(place: Place) -> Path:
-    """Returns the local file of a scene package without its textures; the digest in its name identifies a cached copy.
+    """Returns the local file of a scene package; does not download its textures.
+
+    A cached copy is used if its content has the digest in its name.
 
     Raises:
         FileNotFoundError: The package does not exist.

@@ -20,7 +20,7 @@ def has_routes(root: Place) -> bool:
 
 
 def has_questions(root: Place, meta: DatasetMeta) -> bool:
-    """Returns whether a dataset has questions, from `factory relabel` or recorded because its plan has questions."""
+    """Returns whether a dataset has questions: written by `factory relabel`, or recorded because the plan has them."""
     planned = meta.plan.language
     return (root / QUESTIONS_FILE).is_file() or (planned is not None and planned.questions)
 

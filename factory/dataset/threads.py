@@ -29,7 +29,7 @@ _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Returns the thread pool of this process; a forked process creates a new one, because it has no threads."""
+    """Returns the thread pool of this process. A forked process creates a new one, because a fork copies no threads."""
     key = (os.getpid(), threads)
     if key not in _pools:
         _pools[key] = ThreadPoolExecutor(threads, "read")

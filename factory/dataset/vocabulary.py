@@ -78,6 +78,6 @@ _WORDS: Mapping[str, Callable[[Plan], Sequence[str]]] = MappingProxyType(
         "category": _categories,
     }
 )
-"""Filter -> values that are valid for every dataset."""
+"""Filter -> function that returns the valid values that are known from the plan."""
 _SPELLINGS: Mapping[str, Callable[[str, Plan], bool]] = MappingProxyType({"target": _is_target, "episode": _is_episode})
-"""Filter -> predicate for values of filters that have too many values to list."""
+"""Filter with too many valid values to list -> function that returns whether a value has a valid form."""

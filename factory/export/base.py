@@ -54,12 +54,12 @@ class ExportPiece(Generic[FactsT]):
 
     @property
     def episode(self) -> Episode:
-        """Episode, which opens its file at the first access. Its `summary` is its row of the metadata."""
+        """The episode. Its file is opened at the first access to its content."""
         return self.dataset[self.position]
 
     @property
     def summary(self) -> EpisodeSummary:
-        """Row of the metadata; parsed on each access."""
+        """Row of the episode in the metadata; parsed on each access."""
         return self.episode.summary
 
 
@@ -89,7 +89,8 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     about: ClassVar[str]
     """Description of the format for the help, one line."""
     version: ClassVar[int] = 1
-    """Version of the writer; incremented when its files change. Unfinished exports of other versions are refused."""
+    """Version of the writer; incremented when the files that it writes change. Unfinished exports of other versions are
+    refused."""
     requires: ClassVar[tuple[str, ...]] = ()
     """Top-level modules that the format needs; their versions are recorded in the manifest."""
     assembles: ClassVar[bool] = False

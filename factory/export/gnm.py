@@ -58,7 +58,7 @@ has {fps} frames per second; the median episode has {median} frames.
 
 
 class GnmFacts(EpisodeFacts):
-    """Facts for the mean distance between waypoints."""
+    """Facts of a piece that are needed to compute the mean distance between waypoints."""
 
     length_m: float
     """Sum of the distances between consecutive exported frames, metres."""
@@ -114,7 +114,10 @@ def _length(position: NDArray[np.float64]) -> float:
 
 
 def _loader_lists(by_split: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Returns the episodes of the two lists that the loaders read, `train` and `test`."""
+    """Returns the episodes of the lists `train` and `test`, which the loaders read.
+
+    `test` has the episodes of `val_id` or, if there are none, those of the test splits.
+    """
     held_out = by_split.get(Split.VAL_ID) or [
         episode for split, episodes in by_split.items() if split in _TEST_SPLITS for episode in episodes
     ]

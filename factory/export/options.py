@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 START_TIME_S = 1_767_225_600
 """Default start time of ROS 2 stamps, 2026-01-01 00:00 UTC, seconds since 1970."""
 SPACING_S = 60
-"""Interval between the starts of consecutive episodes, seconds; an episode of 1000 frames at 60 Hz takes 17 s."""
+"""Interval between the start times of consecutive episodes, seconds. It is longer than an episode: 1000 frames at 60 Hz
+take 17 s."""
 _LATEST_S = 2**31 - 1
 """Maximum of the 32-bit seconds of a ROS time."""
 

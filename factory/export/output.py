@@ -54,7 +54,7 @@ class Output(Closing):
         return self._work / _STAGING / name
 
     def piece_folder(self, episode_id: str) -> Path:
-        """Returns the folder of the piece of an episode until it is assembled."""
+        """Returns the folder in which the piece of an episode is kept for `finish`."""
         return self._work / _PIECES / episode_id
 
     def facts_path(self, episode_id: str) -> Path:
@@ -62,13 +62,14 @@ class Output(Closing):
         return self._work / _FACTS / f"{episode_id}.json"
 
     def accept(self, episode_id: str, staged: Path, facts: str, assembles: bool) -> None:
-        """Accepts a complete, synced piece: moves its files to their final paths, then writes its facts.
+        """Accepts a complete, synced piece: moves its files out of the staging folder, then writes its facts.
 
         Args:
             episode_id: id of the episode.
             staged: staging folder of the piece.
             facts: facts of the piece as JSON.
-            assembles: whether the piece is kept for `finish`, instead of moved into the output directory.
+            assembles: whether the piece is kept in `piece_folder` for `finish`; otherwise, its files are moved to their
+                final paths.
 
         Raises:
             WorldError: the disk is full or not available; the piece must be exported again.
@@ -87,7 +88,10 @@ class Output(Closing):
                 part.write_text(facts, encoding="utf-8")
 
     def begin_finish(self, pieces: Iterable[str]) -> None:
-        """Opens the journal of finished files for these pieces; deletes finished files that contain other pieces."""
+        """Opens the journal of finished files.
+
+        If the journal belongs to other pieces, deletes the files that it lists and starts a new journal.
+        """
         digest = hashlib.sha256("\n".join(pieces).encode()).hexdigest()
         lines = self._read_journal()
         if lines[:1] == [digest]:
@@ -100,7 +104,7 @@ class Output(Closing):
             part.write_text(f"{digest}\n", encoding="utf-8")
 
     def has(self, name: str) -> bool:
-        """Returns whether an interrupted `finish` with the same pieces has finished a file."""
+        """Returns whether an earlier, interrupted `finish` with the same pieces has written a file completely."""
         return name in self._done and (self.root / name).is_file()
 
     @contextlib.contextmanager
@@ -188,7 +192,7 @@ def sync_tree(folder: Path) -> None:
     found = [(Path(place), names) for place, _, names in os.walk(folder)]
     files = [place / name for place, names in found for name in names]
     if len(files) > _FEW_FILES:
-        os.sync()  # one call instead of 7 ms per file
+        os.sync()  # one call for all files; `sync_file` takes 7 ms per file
         return
     for file in files:
         sync_file(file)

@@ -26,7 +26,7 @@ _IDENTITY = (
     *("episode_id", "split", "instruction", "target_id", "scene_sha256", "draw", "attempt", "renderer"),
     *("num_steps", "spawn_x_m", "spawn_y_m", "spawn_yaw_rad", "trajectory_length_m", "final_ne_3d_m", "min_ne_m"),
 )
-"""Columns that identify an episode, and are equal for both kinds of recording."""
+"""Columns that identify an episode. Their values are equal in a frames and in a states recording."""
 
 
 def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:

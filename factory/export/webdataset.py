@@ -53,7 +53,7 @@ _RECORDED_IMAGES = 'sample["rgb.png"], sample["depth.npy.gz"]'
 
 
 class WebdatasetFacts(EpisodeFacts):
-    """Facts for the division into shards."""
+    """Facts of a piece that are needed to divide the pieces into shards."""
 
     member_bytes: int
     """Size of the members of the piece, bytes."""
@@ -187,7 +187,7 @@ def write_member(file: BinaryIO, name: str, data: bytes) -> None:
 
 
 def member_bytes(size: int) -> int:
-    """Returns the size of a member in an archive, bytes."""
+    """Returns the space that a member with `size` bytes of content needs in an archive, bytes."""
     return tarfile.BLOCKSIZE + size + -size % tarfile.BLOCKSIZE
 
 

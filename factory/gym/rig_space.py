@@ -15,7 +15,7 @@ from schemas.rig import Rig
 from schemas.rig.file import load_rig
 
 _UNBOUNDED = {"f": 1e9, "i": 2**53}
-"""Bound of unbounded values, by kind of data type; finite, because Gymnasium's checker warns of infinite bounds."""
+"""Bound of a box for values without a limit, by kind of NumPy type. Gymnasium's checker warns of infinite bounds."""
 
 
 def live_rig(rig: str | Path | Rig, control_hz: int) -> Rig:

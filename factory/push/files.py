@@ -20,7 +20,7 @@ _MAX_FILES_A_FOLDER = 10_000
 """Maximum number of entries in a folder, set by the Hub."""
 _LEROBOT_INFO = Path("meta/info.json")
 _JSON_BYTES = 16 << 20
-"""Maximum size of a description file, bytes."""
+"""Maximum size of a description file that is read, bytes; a larger file is treated as empty."""
 _DATASET_FOLDERS = (EPISODES, SCENES, SPLITS_FOLDER)
 _REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
 _VERSION = re.compile(r"v\d+\.\d+")

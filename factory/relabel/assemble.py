@@ -38,7 +38,7 @@ from schemas.storage.dataset_files import (
 )
 
 _GROUP_ROWS = 20_000
-"""Number of rows of a row group; to read one episode, a reader decodes one group."""
+"""Number of rows of a row group. To read the rows of one episode, a reader decodes a whole group."""
 _NEW_COLUMNS = ("instruction", "template_id")
 
 

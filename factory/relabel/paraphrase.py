@@ -74,7 +74,7 @@ class _Failed(Exception):
 
 
 class _Question(NamedTuple):
-    """Prompt about one pattern."""
+    """Prompt that requests paraphrases of one sentence pattern."""
 
     code: str
     register: str

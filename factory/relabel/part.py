@@ -84,10 +84,10 @@ class PartTask(NamedTuple):
     spec: LanguageSpec
     starts: tuple[LanguageStart, ...]
     file: Path
-    """Part file of instructions, which is written last."""
+    """Part file of instructions. It is written last: if it exists, the task is complete."""
 
     def beside(self, name: str) -> Path:
-        """Returns the part file of another table of the dataset."""
+        """Returns the part file of this task for another table of the dataset."""
         return self.file.with_name(f"{self.file.stem}-{name}")
 
 

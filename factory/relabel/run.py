@@ -36,7 +36,7 @@ from schemas.storage.dataset_files import INSTRUCTIONS_FILE, META_FILE, QUESTION
 
 _PART_EPISODES = 500
 _PROBES = 200
-"""Number of episodes of each scene that are tested for possible instructions before any part is written."""
+"""Approximate number of episodes of each scene that are tested for possible instructions before any part is written."""
 _COLUMNS = (
     *("episode_id", "index", "split", "scene", "scene_sha256", "target_id", "target_category"),
     *("spawn_x_m", "spawn_y_m", "spawn_yaw_rad", "instruction", "template_id"),
@@ -80,7 +80,7 @@ class RelabelReport(Model):
     patterns: int = 0
     """Number of distinct sentence patterns."""
     minimal: int = 0
-    """Number of instructions in which every part of the expression is needed."""
+    """Number of new instructions whose expression for the target has no unnecessary part."""
     languages: dict[str, int] = Field(default_factory=dict)
     """Number of instructions by language."""
     features: dict[str, int] = Field(default_factory=dict)

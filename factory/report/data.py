@@ -49,8 +49,8 @@ class Drives:
 
 
 _FIRST_LAYOUTS, _LAST_LAYOUTS = 3, 2
-"""Number of first and of last layouts of a scene family that get a map; the last layouts are those of the
-unseen-scene splits."""
+"""The report shows maps of the first `_FIRST_LAYOUTS` and the last `_LAST_LAYOUTS` layouts of a scene family. The last
+layouts are those of the unseen-scene splits."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class ReportInput:
 
     @property
     def places(self) -> list[str]:
-        """Scenes with a map: scenes of the plan; for a scene family, its first and its last layouts."""
+        """Scenes that the report shows as maps; see `mapped_scenes`."""
         return mapped_scenes(self.meta.plan)
 
     def of(self, scene: str) -> list[EpisodeSummary]:

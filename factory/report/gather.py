@@ -25,10 +25,10 @@ from schemas.storage.shard_index import episode_place
 
 ProgressCallback = Callable[[int, int], None]
 _TRACK_POINTS = 48
-"""Number of points of a thinned track, enough to show the turns of the robot."""
+"""Maximum number of points of a thinned track; they are enough to show the turns of the robot."""
 _FRAMES_TRIED = 6
 _SHARE_WANTED = 0.08
-"""Preferred share of the frame that the target covers, 0..1."""
+"""Preferred share of a sample frame that the target covers, 0..1."""
 
 
 def gather(
@@ -61,7 +61,7 @@ def gather(
     maps, infos = _read_scenes(root, rows, {row.scene for row in chosen})
     drives = Drives()
     if chosen:
-        # sorted, so each scene is prepared once
+        # sorted by scene, so each scene is prepared only once
         for done, row in enumerate(sorted(chosen, key=lambda row: row.scene_sha256), 1):
             _read_drive(root, row, row.episode_id in shown, infos, fits, drives, rows)
             on_progress(done, len(chosen))
@@ -116,7 +116,10 @@ def _best_frame(episode: Episode) -> FrameSample:
 
 
 def _read_scenes(root: Place, rows: Rows, opened: Set[str]) -> tuple[dict[str, FloorMap], dict[str, SceneInfo]]:
-    """Returns the maps by scene name, and the metadata of the mapped and the opened scenes by SHA-256 of package."""
+    """Returns the maps by scene name, and the metadata by SHA-256 of the package.
+
+    Reads the scenes that the report shows as maps and, for their metadata only, the other scenes in `opened`.
+    """
     mapped = set(mapped_scenes(rows.meta.plan))
     maps: dict[str, FloorMap] = {}
     infos: dict[str, SceneInfo] = {}

@@ -73,7 +73,7 @@ def collect_scenes(
     only: Collection[str] | None = None,
     packages: Place | None = None,
 ) -> Catalog:
-    """Returns the scenes of a plan. Checks only layouts for whether they can fulfil it.
+    """Returns the scenes of a plan. Checks only for layouts whether they can fulfil the plan.
 
     Args:
         plan: Plan with the scenes.
@@ -170,7 +170,7 @@ def find_built(plan: Plan, cache: Path) -> Catalog:
 def write_target_lists(catalog: Catalog, root: Place) -> None:
     """Writes `targets_<scene>.yaml` next to the scene packages of a dataset, for people; keeps existing files.
 
-    Layouts have none: a plan edits the targets of single scenes only.
+    No file is written for layouts, because a plan can edit the targets of single scenes only.
 
     Raises:
         WorldError: A file cannot be written.

@@ -29,7 +29,7 @@ _DAYS = 30
 _QUERY_PAUSE_S = 2.0
 """Pause between two queries for the nodes of the cluster, seconds."""
 _MOST_DEATHS = 8
-"""Number of workers that may exit since the last new episode; if more exit, the run is stopped."""
+"""Maximum number of workers that exit with an error without a new episode; after more, the run stops with an error."""
 _LEAVE_S = 10.0
 _HUB = "hub"
 _NAMED_CLUSTERS = ("auto", "local")

@@ -20,7 +20,7 @@ from schemas.support.child import child_environment, python_module
 from schemas.terms import RendererKind
 
 _LEAVE_S = 8.0
-"""Time for which a stopped worker may return its jobs, seconds."""
+"""Maximum time that a stopped worker has to return its jobs, seconds."""
 
 
 class RayWorker:
@@ -69,7 +69,8 @@ class RayWorker:
 
 
 def _folder_of(files: Mapping[str, bytes]) -> Path:
-    """Returns the folder of a node's worker in one run, so a restarted actor finds the bundles in its spool."""
+    """Creates and returns the folder of a worker. The path depends on node and run only, so a restarted actor finds the
+    bundles in the spool."""
     run = hashlib.sha256(files[CA_FILE]).hexdigest()[:12]
     folder = Path(tempfile.gettempdir()) / f"minivla-{files[NAME_FILE].decode().strip()}-{run}"
     folder.mkdir(mode=0o700, exist_ok=True)

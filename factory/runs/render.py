@@ -41,7 +41,7 @@ from workers.render.choose import open_apart
 from workers.render.differing import differing_frame
 
 _LEAST_FRAME_BYTES = 150_000
-"""Size of a frame of the scene that compresses best, bytes."""
+"""Lower bound of the size of a frame, bytes: the size in the scene whose frames compress best."""
 
 log = structlog.get_logger(__name__)
 
@@ -50,7 +50,7 @@ class Rendering(NamedTuple):
     """Run that renders the episodes of a states dataset."""
 
     plan: Plan
-    """Plan of the recording, which records frames and stores the chosen rig."""
+    """Plan of the recording, changed to record frames with the chosen rig and appearance."""
     catalog: Catalog
     """Scenes of the recording."""
     states: StatesSource

@@ -31,7 +31,7 @@ class Replay:
     steps: int
     """Number of steps of the archived episode."""
     differences: dict[str, float]
-    """Largest absolute difference by array, over the common steps; empty when both are identical."""
+    """Array -> largest absolute difference over the steps that both episodes have; empty for identical episodes."""
     fingerprint_changes: dict[str, tuple[str, str]]
     """Differing software versions and machine properties: (archived, here)."""
 

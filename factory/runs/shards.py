@@ -27,7 +27,7 @@ from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 
 _INTERVAL_S = 30.0
-"""Interval of writing the state, seconds."""
+"""Minimum time between two writes of the state, seconds."""
 _PATIENCE_S = 4 * _INTERVAL_S
 """Time without a change of the state after which a lock in object storage counts as abandoned, seconds."""
 _PAUSE_S = 2.0

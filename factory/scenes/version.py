@@ -3,6 +3,6 @@
 COMPILER_VERSION = 11
 """Incremented when the same stage compiles to different bytes."""
 IMPORT_VERSION = 2
-"""Incremented when imports in a cache must be compiled again; the key of version 1 ignored --unit and --up."""
+"""Incremented when imports in a cache must be compiled again. In version 1, the cache key ignored --unit and --up."""
 MATERIALS_VERSION = 1
 """Incremented when the recorded materials of the same stage change; the paper's layouts record none."""

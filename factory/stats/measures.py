@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import scipy  # imports `scipy.stats` at its first use, which takes a second
+import scipy  # loads `scipy.stats` only at its first use, because that takes a second
 from numpy.typing import ArrayLike, NDArray
 
 from factory.stats.model import Fit, Interval, Share
@@ -19,7 +19,7 @@ QUANTILES = (0, 5, 25, 50, 75, 95, 100)
 _FEWEST_FOR_INTERVAL = 2
 _FEWEST_FOR_FIT = 3
 _ALIKE = 1e-9
-"""Range of the values divided by the largest magnitude; below this ratio, all values count as equal."""
+"""Values count as equal if their range is at most this fraction of the largest magnitude, or of 1 if that is larger."""
 
 
 def mean_of(values: Sequence[float]) -> float | None:
@@ -54,7 +54,7 @@ def quantiles_of(values: Sequence[float]) -> dict[str, float]:
 
 
 def share_of(count: int, of: int) -> Share:
-    """Returns a proportion with its Wilson score interval (Wilson, 1927); all `None` when `of` is 0."""
+    """Returns a proportion with its Wilson score interval (Wilson, 1927); both are `None` if `of` is 0."""
     if of == 0:
         return Share(count=count, of=0, share=None, low=None, high=None)
     interval = scipy.stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
@@ -68,7 +68,7 @@ def fit_line(group: str, x: Sequence[float], y: Sequence[float]) -> Fit:
     Args:
         group: Name of the group of episodes.
         x: Spawn distances, metres.
-        y: Trajectory lengths, metres; as many as spawn distances.
+        y: Trajectory lengths of the same episodes, metres.
     """
     if len(x) < _FEWEST_FOR_FIT:
         return _no_fit(group, len(x), f"a fit needs at least {_FEWEST_FOR_FIT} episodes, the group has {len(x)}")

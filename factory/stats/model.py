@@ -176,7 +176,7 @@ class FarRow(Model):
 
 
 class OverlapRow(Model):
-    """Number of target instances of a split that also occur in `train_id`."""
+    """Overlap of the target instances of a split with those of `train_id`."""
 
     scene: str
     split: str
@@ -215,7 +215,7 @@ class Statistics(Model):
     """Share of the three most frequent categories."""
     templates: tuple[CountRow, ...]
     attempts: tuple[AttemptRow, ...] | None
-    """Rows by scene, by tier, and by scene and tier; `None` when the table of attempts is unreadable."""
+    """Rows by scene, by tier, by scene and tier, and for all; `None` when the table of attempts is unreadable."""
     cells: tuple[CellRow, ...]
     navigation_error: tuple[ErrorRow, ...]
     other_error: tuple[ErrorRow, ...] = ()
@@ -244,15 +244,16 @@ class LanguageRow(Model):
     nearest: Share
     """The nearest object in view at the start is the target."""
     central: Share
-    """The object with the smallest bearing at the start is the target."""
+    """The object in view with the smallest bearing at the start is the target."""
     central_of_category: Share
-    """The object of the named category with the smallest bearing at the start is the target."""
+    """The object of the named category in view with the smallest bearing at the start is the target."""
     nearest_of_category: Share
-    """The nearest object of the named category at the start is the target."""
+    """The nearest object of the named category in view at the start is the target."""
     largest_of_category: Share
-    """The object of the named category with the largest mask at the start is the target."""
+    """The object of the named category in view with the largest mask at the start is the target."""
     chance: float | None
-    """Expected share of episodes whose target is a random object of the named category in view at the start."""
+    """Expected share of episodes in which a random choice among the objects in view at the start that have the named
+    category is the target."""
     others_in_view: float | None
     """Mean number of other objects of the named category in view at the start."""
     several_in_scene: Share
@@ -262,7 +263,8 @@ class LanguageRow(Model):
     contradictory: Share
     """The target is not in view at the start, but another object of its category is."""
     not_in_front: Share
-    """The target is not in view, or more than 30 degrees from the heading; share of episodes with `in front of you`."""
+    """The target is not in view, or is more than 30 degrees from the heading. This is a share of the episodes with
+    `in front of you` in the instruction."""
 
 
 class ArrivalRow(Model):

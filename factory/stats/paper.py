@@ -69,12 +69,12 @@ CATEGORIES = MappingProxyType(
         "crate": Published(source=_IMBALANCE, share=0.112),
     }
 )
-"""Counts and shares that the paper prints; for the other bars of its figure, it prints no value."""
+"""Counts and shares that the paper prints. It prints no values for the other categories in its figure."""
 THREE_LARGEST_SHARE = 0.621
 """Share of monitor, rack and crate in all episodes (Sec. VIII)."""
 
 TEMPLATE_COUNTS = MappingProxyType({key: Published(source="Fig. 12", n=0) for key in TEMPLATES if needs_colour(key)})
-"""Templates with a colour slot, which have no episodes; for the other bars of its figure, the paper prints no value."""
+"""Templates with a colour slot have no episodes in the paper. It prints no values for the other templates."""
 
 _RATES = "Sec. V-A"
 ATTEMPTS = MappingProxyType(

@@ -24,7 +24,7 @@ from schemas.support.foreign import PARSER_ERRORS
 from schemas.terms import Split
 
 MOST_OPENED = 2000
-"""Maximum number of episodes opened for frames, tracks and actions; the tables use all rows."""
+"""Maximum number of episodes opened for frames, tracks and actions; statistics tables use the rows of all episodes."""
 _ROWS_AT_A_TIME = 2000
 _NAMED = 3
 """Maximum number of examples in a remark."""

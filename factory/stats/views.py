@@ -96,7 +96,7 @@ def _fitting(meta: EpisodeMeta, info: SceneInfo, fits: int | None) -> frozenset[
     """Returns the objects that an instruction fits.
 
     For a verified instruction, only the number of objects is recorded: 0 means no object, 1 the target, and a larger
-    number is counted as all objects of the category.
+    number is treated as all objects of the category.
     """
     if fits is None and meta.language is not None:
         fits = meta.language.fits

@@ -16,7 +16,7 @@ from factory.stats.measures import mean_of
 from factory.stats.model import WordingRow
 
 _MOST_COMPARED = 300
-"""Maximum number of sentences of a language for self-BLEU, taken evenly from all."""
+"""Maximum number of sentences of a language that are compared for self-BLEU, evenly spaced among all sentences."""
 _ORDERS = 4
 _SMOOTH = 0.1
 """Count used instead of 0 for an n-gram order without a match (method 1 of Chen and Cherry, WMT 2014)."""
@@ -67,7 +67,7 @@ def _grams(words: Sequence[str], order: int) -> NGrams:
 
 
 def _two_largest(sentences: Sequence[NGrams]) -> dict[tuple[str, ...], tuple[int, int]]:
-    """Returns the two largest counts of each n-gram over the sentences, the largest first."""
+    """Returns for each n-gram the two largest of its counts in the single sentences, the largest first."""
     found: dict[tuple[str, ...], tuple[int, int]] = {}
     for grams in sentences:
         for gram, count in grams.items():

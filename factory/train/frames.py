@@ -21,7 +21,7 @@ from schemas.plan import canonical_json
 
 CACHE_FORMAT = 1
 MASK_SHRINK = 8
-"""Downscaling factor from the picture to the target mask: the resolution of the network's second stage."""
+"""Downscaling factor from the picture to the target mask, which has the resolution of the network's second stage."""
 ProgressCallback = Callable[[int, int], None]
 
 

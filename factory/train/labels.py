@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _TAIL_STEPS, _TAIL_STRIDE = 30, 2
-"""Length and stride of the denser sampling at the end of an episode, steps: the stop takes about half a second."""
+"""Length and stride of the denser sampling at the end of an episode, steps. The stop takes about half a second."""
 
 
 class Labels(NamedTuple):

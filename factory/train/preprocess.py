@@ -17,7 +17,7 @@ FAR_M = 10.0
 _MM_PER_M = 1000.0
 _BRIGHTNESS, _CONTRAST, _TINT = 0.25, 0.2, 0.08
 _CLOSER = 0.75
-"""Smallest zoom factor: a view from 1 m is enlarged to look like a view from 0.75 m."""
+"""Smallest factor of the distances in a zoomed frame: a view from 1 m looks like a view from 0.75 m."""
 _ENLARGED = 0.6
 """Share of the stop frames that are zoomed."""
 
@@ -57,8 +57,8 @@ def to_input(rgb: NDArray[np.uint8], depth: NDArray[np.uint16]) -> NDArray[np.fl
 
     Args:
         rgb: (N, S, S, 3) downscaled colour.
-        depth: (N, S, S) downscaled depth, millimetres. The logarithm gives more resolution to the last metre, where the
-            stop happens.
+        depth: (N, S, S) downscaled depth, millimetres. Nearness is logarithmic, which gives more resolution to the last
+            metre, where the robot stops.
     """
     colours = rgb.transpose(0, 3, 1, 2).astype(np.float32) / 127.5 - 1.0
     metres = np.clip(depth.astype(np.float32) / _MM_PER_M, 0.1, FAR_M)
@@ -87,7 +87,7 @@ def augment(batch: Batch, rng: np.random.Generator, mirrored_words: NDArray[np.i
     In the instruction of a mirrored frame, left and right are swapped.
 
     The expert stops on the success circle, so no recorded frame shows the view of a robot that is too close. A zoomed
-    frame with equally scaled depths approximates such a view; its label is a stop, too.
+    stop frame, with its depths scaled by the same factor, approximates such a view. Its label remains a stop.
 
     Args:
         batch: Frames, which are not changed.

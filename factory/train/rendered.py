@@ -56,7 +56,8 @@ class RenderedPictures:
             self._render_in_order(kept)
 
     def _render_in_order(self, count: int) -> None:
-        """Renders the first rows, episode by episode: each episode has its own scene, which takes time to prepare."""
+        """Renders the first rows episode by episode, because each episode has its own scene, which takes time to
+        prepare."""
         rows = np.arange(count, dtype=np.int64)
         for episode in np.unique(self._steps.episode[:count]):
             self.take(rows[self._steps.episode[:count] == episode])

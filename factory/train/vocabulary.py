@@ -16,7 +16,8 @@ from schemas.instruction.language import TEMPLATES, say_category
 from schemas.terms import CATEGORIES
 
 PAD, UNKNOWN, ANY = 0, 1, 2
-"""Special indices: padding, a word outside of the vocabulary, and the whole instruction when language is ablated."""
+"""Special indices: padding, a word outside of the vocabulary, and the replacement of an instruction when language is
+ablated."""
 _SPECIAL = ("<pad>", "<unknown>", "<any>")
 MAX_WORDS = 16
 """Maximum number of encoded words; the longest template with the longest category has 11."""
@@ -29,7 +30,7 @@ _SIDES = (
     ("linken", "rechten"),
     ("izquierda", "derecha"),
 )
-"""Words that change places in a mirrored image."""
+"""Pairs of words that are exchanged in the instruction of a mirrored image."""
 
 
 def split_words(text: str) -> list[str]:

@@ -18,7 +18,7 @@ _ROWS_AT_A_TIME = 2000
 _CHECKS_AT_A_TIME = 4
 _BYTES_PER_S = 75e6
 _EPISODE_S = 0.01
-"""CPU time of a deep check that does not depend on the size of the episode, seconds."""
+"""Part of the CPU time of a deep check that does not depend on the size of the episode, seconds."""
 _WORTH_A_PROCESS_S = 2.0
 """CPU time of the checks that justify one more process, seconds: twice the CPU time of its start and imports."""
 

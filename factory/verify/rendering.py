@@ -76,7 +76,8 @@ def compare_rendered(
 def _sensor_findings(bundle: EpisodeBundle) -> list[str]:
     """Measures the stored sensors again, and returns the differences as findings.
 
-    Motion sensors are compared over the whole episode; of the other sensors, the last sample up to each sampled step.
+    Motion sensors are compared over the whole episode. Of each other sensor, only the last sample at or before each
+    sampled step is compared.
     """
     rig = bundle.meta.job.view.rig if bundle.has_sensors else None
     sampled = bundle.meta.job.sampled_steps(bundle.length)

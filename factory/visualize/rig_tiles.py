@@ -15,11 +15,11 @@ Rgb = NDArray[np.uint8]
 _SCAN_SHOWN_M = 8.0
 """Distance from the robot to the edge of the picture of a scan, metres."""
 _STRONGEST = 0.95
-"""Quantile of the flow's length that has full saturation."""
+"""Flow vectors that are longer than this quantile of the lengths have full saturation."""
 
 
 def show_normals(normals: NDArray[np.float32]) -> Rgb:
-    """Returns unit normals (H, W, 3) as colours: 128 is 0; pixels without a surface are grey."""
+    """Returns unit normals (H, W, 3) as colours: a component of 0 is 127; pixels without a surface are grey."""
     return ((normals + 1) * 127.5).astype(np.uint8)
 
 

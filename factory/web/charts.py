@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 WIDTH, WIDE, HEIGHT = 600, 1200, 124
-"""Widths of a line chart and of a column chart, and their height, units of the view box."""
+"""`WIDTH` of a line chart, `WIDE` of a column chart, and `HEIGHT` of both charts; units of the view box."""
 _LEFT, _TOP, _BOTTOM = 64, 8, 20
 _MOST_POINTS = 600
 

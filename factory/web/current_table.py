@@ -54,7 +54,10 @@ class CurrentTable:
         return found
 
     def get_within(self, seconds: float | None) -> EpisodeTable | None:
-        """Returns the table like `get`, or `None` if no table is read within `seconds`; `None` waits without limit."""
+        """Returns the table like `get`; `None` if the first table is not read within `seconds`.
+
+        `seconds=None` waits without limit.
+        """
         with self._lock:
             if self._reading is None and (self._table is None or self._clock() > self._next_check_s):
                 self._check()

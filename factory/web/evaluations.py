@@ -33,7 +33,7 @@ class PolicyRun:
         return [row for row in self.results if row.variant is Variant.ORIGINAL and not row.success]
 
     def video(self, spec_id: str, suffix: str) -> Path | None:
-        """Returns the video (`.mp4`) or its last picture (`.jpg`) of a failure; `None` if it was not written."""
+        """Returns the video (`.mp4`) of a failure or its last picture (`.jpg`); `None` if the file was not written."""
         known = next((row.spec_id for row in self.failures if row.spec_id == spec_id), None)
         path = self.folder / VIDEOS / f"{known}{suffix}"
         return path if known is not None and path.is_file() else None

@@ -23,7 +23,7 @@ class FirstRows(NamedTuple):
 
 
 def read_first_rows(root: Place, count: int) -> FirstRows | None:
-    """Returns the first rows of a table; `None` if it cannot be read. Reading all rows reports the error."""
+    """Returns the first rows of a table; `None` if it cannot be read. The error is reported when all rows are read."""
     try:
         file = pq.ParquetFile(table_of(root / METADATA_FILE))
         batch = next(file.iter_batches(count, columns=list(ROW_COLUMNS)), None)

@@ -43,7 +43,7 @@ class FrameKey(NamedTuple):
     kind: str
     """`rgb`, `depth` or `ids`."""
     is_small: bool
-    """Whether it is an image for playback, of `SMALL_PX`."""
+    """Whether it is an image for playback, with width and height `SMALL_PX`."""
 
     @property
     def media_type(self) -> str:
@@ -155,7 +155,7 @@ class FrameStore:
         for key in keys:
             with contextlib.suppress(FactoryError, KeyError, IndexError, TooBusy):
                 if not _is_stored(self.episode(key.episode_id)):
-                    self.encoded(key).exception()  # waits, so a thread stays free for requests
+                    self.encoded(key).exception()  # waits, so one encoding thread stays free for requests
 
     def _make(self, episode: Episode, made: dict[FrameKey, Future[bytes]], turn: threading.Lock) -> None:
         found: dict[FrameKey, bytes | Exception]

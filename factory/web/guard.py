@@ -25,7 +25,7 @@ MOST_BODY_BYTES = 64 << 10
 COOKIE = "factory_session"
 """Prefix of the name of the session cookie; the port follows, because browsers share cookies between ports."""
 _FREE_PATHS = ("/healthz", "/readyz", "/login")
-"""Paths that need no token."""
+"""Paths that need no token, in addition to those below `/static/`."""
 _HEADERS = {
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
     "media-src 'self'; connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
@@ -50,7 +50,7 @@ class RequestGuard:
         self._app, self._address, self._access = app, address, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answers a request, or passes it on."""
+        """Refuses a request, or passes it to the application."""
         if scope["type"] != "http":
             return await self._app(scope, receive, send)
         headers = Headers(scope=scope)

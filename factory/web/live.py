@@ -64,7 +64,7 @@ class LiveFeed:
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         seen = 0
         while True:
-            await self._polled.wait()  # earlier text may be older than the page of this tab
+            await self._polled.wait()  # the previous text may be older than the page of this tab
             if self._version != seen:
                 seen = self._version
                 async with asyncio.timeout(_SEND_S):

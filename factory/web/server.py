@@ -28,9 +28,9 @@ _STALLED_S = 20.0
 _MOST_CONNECTIONS = 512
 _MOST_HEAD_BYTES = 16 << 10
 _CLOSING = "minivla.closing"
-"""Key of the event of `closing_of` in the scope of a request."""
+"""Key in the scope of a request; its value is the event that `closing_of` returns."""
 _CLOSE_S = 2
-"""Time for open replies when the server stops, seconds."""
+"""Maximum time to complete open replies when the server stops, seconds."""
 
 
 class WebServer(Closing):
@@ -76,7 +76,7 @@ class WebServer(Closing):
         self._listening.close()
 
     def _serve(self, app: ASGIApp) -> ASGIApp:
-        """Returns the application with the event of `closing_of` in the scope of each request."""
+        """Returns an application that adds the event of `closing_of` to the scope of each request and calls `app`."""
 
         async def serve(scope: Scope, receive: Receive, send: Send) -> None:
             scope[_CLOSING] = self._server.closing

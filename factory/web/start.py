@@ -111,7 +111,7 @@ def make_context(
 
 
 def _prepare(context: WebContext, renders_ahead: bool) -> None:
-    """Compiles templates and statements and reads the tables before the first requests; these report any error."""
+    """Compiles templates and reads tables and ledger, so the first requests are fast. Requests report the errors."""
     with contextlib.suppress(FactoryError):
         dataset = context.workspace.dataset()
         if renders_ahead and not context.workspace.is_written():

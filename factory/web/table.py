@@ -45,7 +45,7 @@ SORTED = (
 ROW_COLUMNS = (*SORTED, "instruction")
 """Columns that the table shows."""
 _READ = tuple(dict.fromkeys(("index", "instruction", *SORTED, *FILTERS.values())))
-"""Columns that the table needs."""
+"""Columns that are read in advance: for the page, for sorting and for the filters."""
 _OTHERS = ("q", "sort", "order", "page", "flagged")
 _MOST_TEXT = 200
 _MOST_CHOICES = 300
@@ -127,7 +127,7 @@ class EpisodeTable:
                 self.dataset.column(name)
 
     def sort_all(self) -> None:
-        """Computes the order of each column, so no later request does."""
+        """Computes the order of the rows for each sortable column in advance, so no request must wait for it."""
         for column in SORTED:
             with contextlib.suppress(ArchiveCorrupt):
                 self._order_by(column)
@@ -164,7 +164,7 @@ class EpisodeTable:
         return order if mask is None else order[mask[order]]
 
     def _order_by(self, column: str) -> Indices:
-        """Returns the positions of all episodes, the smallest value of a column first."""
+        """Returns the positions of all episodes in ascending order of a column."""
         with self._sorting:
             if column not in self._orders:
                 self._orders[column] = self._order(column)

@@ -30,7 +30,7 @@ from schemas.storage.place import Place
 
 _RECHECK_S = 1.0
 _REMOTE_RECHECK_S = 60.0
-"""Pauses between two checks for new tables, in a directory and in object storage, seconds."""
+"""Pause between two checks for new tables in object storage, seconds; `_RECHECK_S` is the pause for a directory."""
 
 
 class Farm(NamedTuple):
@@ -105,7 +105,7 @@ class Workspace:
             return None
 
     def scenes(self) -> SceneList:
-        """Returns the scenes of the description, and the layouts that were built since it was written."""
+        """Returns the scenes of the dataset, including layouts that were built after its description was written."""
         meta = self.meta()
         described = meta.scenes if meta else {}
         try:

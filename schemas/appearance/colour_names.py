@@ -25,17 +25,18 @@ _TO_XYZ = np.array(
 )
 _D65 = np.array([0.95047, 1.0, 1.08883])
 MIN_SHARE = 0.5
-"""Minimum share of the votes of a dominant colour name."""
+"""Smallest share of the votes with which a colour name can be dominant."""
 MAX_RIVAL = 0.36
-"""Share of the votes of the second name above which the first is ambiguous."""
+"""Share of the votes of the second most frequent name from which the colour is ambiguous: no name is dominant."""
 _NEUTRALS = [_BLACK, _GRAY, _WHITE]
 _NEUTRAL_VOTE = 0.5
-"""Weight of a black, gray or white sample: a blue chair on a black base is a blue chair."""
+"""Votes of a black, gray or white sample; any other sample has one vote. So a blue chair on a black base is called
+blue."""
 _BLACK_BELOW = 30.0
 """Lightness below which an achromatic colour is called black. It includes charcoal, which looks black indoors."""
 _BLACKISH = 7.0
-"""Chroma below which a dark colour is called black. From this value to 12 it has no name; above 12 it has the name of
-its hue, as navy has."""
+"""Chroma below which a dark colour is called black. A dark colour with a chroma from this value to 12 has no name; one
+with a larger chroma, such as navy, has the name of its hue."""
 
 
 def linear_of(srgb: ArrayLike) -> Floats:
@@ -83,14 +84,14 @@ def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
 
 
 def _is_pink(lightness: Floats, hue: Floats) -> NDArray[np.bool_]:
-    """Returns whether colours are pink: light red, and already at medium lightness if the red is bluish."""
+    """Returns whether colours are pink: light red, or bluish red of at least medium lightness."""
     bluish = ((hue >= 330) | (hue < 20)) & (lightness >= 50)
     return np.asarray(bluish | ((hue < 45) & (lightness > 68)))
 
 
 def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
     """Returns whether colours are brown: dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
-    is_vivid = (lightness >= 50) & (chroma >= 58)  # the shadows of orange cloth are vivid and not brown
+    is_vivid = (lightness >= 50) & (chroma >= 58)  # for example shadows on orange cloth, which are not brown
     orange = (hue >= 48) & (hue < 72) & ~is_vivid & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
     yellow = (hue >= 72) & (hue < 98) & ((lightness < 58) | ((lightness < 88) & (chroma < 45)))
@@ -98,7 +99,7 @@ def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool
 
 
 def dominant_name(srgb: ArrayLike) -> str:
-    """Returns the name with at least half of the votes and a clear margin to the second, or `unknown`.
+    """Returns the colour name that dominates the samples (`MIN_SHARE`, `MAX_RIVAL`), or `unknown`.
 
     Args:
         srgb: samples (N, 3), 0..1; each sample is one vote, but an achromatic sample is half a vote.

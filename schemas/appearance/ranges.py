@@ -73,7 +73,7 @@ class MaterialRanges(Model):
         "panels",
         "tiles",
     )
-    """Materials of walls; a repeated one is more probable, and an empty list keeps the walls."""
+    """Materials of walls; a material that is listed twice is more probable. An empty list keeps the walls."""
     floors: Annotated[tuple[FloorSet, ...], Field(max_length=MAX_SETS)] = (
         "wood",
         "tiles",
@@ -113,7 +113,7 @@ class ClutterRanges(Model):
     """Ranges of small objects on the floor beside the path of the robot."""
 
     count: Annotated[tuple[_Number, _Number], AfterValidator(_ordered)] = (2, 8)
-    """Number of objects; fewer are placed where no room is found."""
+    """Number of objects; an object for which no free place is found is omitted."""
     size_m: Annotated[tuple[_Side, _Side], AfterValidator(_ordered)] = (0.08, 0.3)
     """Largest side of an object, metres."""
     kinds: Annotated[tuple[ClutterKind, ...], Field(min_length=1, max_length=MAX_SETS)] = (
@@ -125,9 +125,9 @@ class ClutterRanges(Model):
     )
     """Kinds of the objects."""
     clearance_m: NonNegative = 0.15
-    """Least distance from the footprint of the robot at every pose of the episode, metres."""
+    """Smallest distance of an object from the footprint of the robot at any pose of the episode, metres."""
     reach_m: Annotated[float, Field(gt=0, le=30)] = 4.0
-    """Largest distance from the path, metres."""
+    """Largest distance of an object from the path of the robot, metres."""
 
 
 class Appearance(Model):
@@ -146,10 +146,10 @@ class Appearance(Model):
 
     @property
     def changes_scenes(self) -> bool:
-        """Whether each episode has its own scene: anything but the pose and lens of the camera is varied."""
+        """Whether each episode has a separate scene, because more than the pose and lens of the camera varies."""
         exposes = self.camera is not None and self.camera.exposure_stops != (0.0, 0.0)
         return exposes or any((self.light, self.materials, self.clutter))
 
     def plain(self) -> dict[str, Any]:
-        """Returns the ranges as JSON values, without those that equal their default."""
+        """Returns the ranges as JSON values; omits values that equal their default."""
         return self.model_dump(mode="json", exclude_unset=False, exclude_defaults=True)

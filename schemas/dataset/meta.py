@@ -114,14 +114,14 @@ class DatasetMeta(Model):
 
 
 def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
-    """Returns the description with the plan that records frames; unchanged if the dataset stores frames."""
+    """Returns the description with the plan changed to record frames; unchanged if the dataset stores frames."""
     if meta.plan.record is Recording.FRAMES:
         return meta
     return described_by(meta, meta.plan.model_copy(update={"record": Recording.FRAMES}))
 
 
 def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
-    """Returns the description with another plan of the same episodes."""
+    """Returns the description with its plan replaced by another plan of the same episodes."""
     return meta.model_copy(update=fields_of_plan(plan))
 
 
@@ -180,7 +180,7 @@ def _refuse_newer(path: Place, text: str) -> None:
 
 
 def software_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
-    """Returns the versions of those of the given packages that are installed."""
+    """Returns the version of each given package that is installed."""
     found = ((name, _version(name)) for name in packages)
     return {name: version for name, version in found if version is not None}
 

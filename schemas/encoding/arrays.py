@@ -27,11 +27,11 @@ class ArraySpec:
     unit: str
     """Unit of the values."""
     low: float | tuple[float, ...] | None = None
-    """Smallest valid value, of all columns or of each; `None` for no bound."""
+    """Smallest valid value, or one for each column of the last axis; `None` for no bound."""
     high: float | tuple[float, ...] | None = None
-    """Largest valid value, of all columns or of each; `None` for no bound."""
+    """Largest valid value, or one for each column of the last axis; `None` for no bound."""
     former_dtype: DTypeLike | None = None
-    """Type of the elements in bundles of format 1, if it differs there."""
+    """Type of the elements in bundles of format 1; `None` if it is `dtype`."""
     may_be_nan: bool = False
     """Whether NaN, which means no value, is valid."""
 
@@ -56,13 +56,13 @@ class ArraySpec:
         return self.value_violations(array)
 
     def value_violations(self, array: NDArray[Any]) -> list[str]:
-        """Returns the violations of the bounds by an array of the right shape and dtype."""
+        """Returns the violations of the bounds by an array whose shape and dtype were checked before."""
         has_bounds = self.low is not None or self.high is not None
         is_free = array.dtype.kind != "f" or self.may_be_nan
         if array.size == 0 or (not has_bounds and (is_free or np.isfinite(array).all())):
             return []
         if self.low is not None and self.high is not None and (array >= self.low).all() and (array <= self.high).all():
-            return []  # the usual case; NaN is not within the bounds
+            return []  # the usual case; any comparison with NaN is false
         axes = tuple(range(array.ndim - 1)) if isinstance(self.low or self.high, tuple) else None
         return self.range_violations(array.min(axes), array.max(axes))
 

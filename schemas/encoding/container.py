@@ -18,17 +18,18 @@ from schemas.support.closing import Closing
 _LOCAL = struct.Struct("<I5H3I2H")
 """Local header of a member: signature, version, flags, method, time, date, CRC, sizes, lengths of name and extra."""
 _CENTRAL = struct.Struct("<I6H3I5H2I")
-"""Entry of a member in the directory: the local header's fields with the writer's version before them, and comment
-length, disk, attributes and offset after them."""
+"""Entry of a member in the directory: signature, the writer's version, the other fields of the local header, comment
+length, disk, attributes and offset."""
 _ENTRY = struct.Struct("<I4xHH4xIIIHHH8xI")
-"""Fields of that entry that a reader uses: signature, flags, method, CRC, both sizes, lengths of name, extra and
-comment, offset."""
+"""Fields of a directory entry (`_CENTRAL`) that the reader uses: signature, flags, method, CRC, both sizes, lengths of
+name, extra and comment, offset."""
 _END = struct.Struct("<I4H2IH")
 """End of the directory: signature, disks, entries on this disk and in total, size and offset of the directory, length
 of the comment."""
 _LOCAL_MARK, _CENTRAL_MARK, _END_MARK = 0x04034B50, 0x02014B50, 0x06054B50
 _LOCATOR_64, _LOCATOR_64_BYTES = b"PK\x06\x07", 20
-"""Signature and size of the zip64 locator, which precedes the end if the zip64 records apply instead."""
+"""Signature and size of the zip64 locator. A file with this record before the end of its directory needs zip64 and is
+rejected."""
 _MOST_NAME_BYTES = 255
 _VERSION, _MADE_BY_UNIX, _STORED, _UTF8 = 20, 3 << 8 | 20, 0, 0x800
 _ENCRYPTED = 0x1
@@ -36,7 +37,8 @@ _EPOCH = (0, 1 << 5 | 1)
 """1980-01-01 0:00 as DOS time and date, the earliest time that a zip can store."""
 _REGULAR_FILE_0644 = 0o100644 << 16
 MAX_CONTAINER_BYTES = (1 << 32) - (1 << 24)
-"""Largest size without zip64 records, less space for the directory, bytes."""
+"""Largest size of all members with their headers, bytes: 4 GiB, the limit without zip64 records, less 16 MiB for the
+directory."""
 
 
 class ContainerLimits(NamedTuple):
@@ -103,7 +105,7 @@ class ContainerReader:
 
     def __init__(self, file: BinaryIO, limits: ContainerLimits) -> None:
         self._file = file
-        self._position = Lock()  # all threads share the position of the file
+        self._position = Lock()  # guards the position of the file, which all threads share
         self._members = _read_directory(file, limits)
         self.names: tuple[str, ...] = tuple(self._members)
         """Member names in the order of the file."""
@@ -130,7 +132,7 @@ class ContainerReader:
         return data
 
     def _read_stored(self, member: _Member) -> bytes | None:
-        """Returns the bytes that follow a member's local header, or `None` if that header belongs to another member."""
+        """Returns the bytes that follow a member's local header, or `None` if the header is not that of the member."""
         offset, size, _, name = member
         self._file.seek(offset)
         header = self._file.read(_LOCAL.size)
@@ -188,7 +190,7 @@ an episode has hundreds of them."""
 
 
 def _read_directory(file: BinaryIO, limits: ContainerLimits) -> dict[str, _Member]:
-    """Returns the members by name, in the order of the file; their sizes are within the limits and the file.
+    """Returns the members by name, in the order of the file, after a check of their sizes.
 
     Does not use `zipfile`, which takes longer to read the directory of an episode than a frame takes to decode.
     """
@@ -227,7 +229,8 @@ def _read_directory(file: BinaryIO, limits: ContainerLimits) -> dict[str, _Membe
 
 
 def _bound_directory(file: BinaryIO, limits: ContainerLimits, size: int) -> tuple[int, int]:
-    """Returns the number of members and the offset of the directory, after a check of its size."""
+    """Returns the number of members and the offset of the directory, after a check of this number and of the
+    directory's size."""
     file.seek(max(0, size - _END.size - _LOCATOR_64_BYTES))
     tail = file.read()
     before, end = tail[: -_END.size], tail[-_END.size :]

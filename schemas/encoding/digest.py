@@ -49,7 +49,7 @@ def dataset_digest(episodes: Iterable[tuple[str, str]], *, is_sorted: bool = Fal
 
     Args:
         episodes: the pairs.
-        is_sorted: whether they are in ascending order, so they need not be in memory at once.
+        is_sorted: whether the pairs are in ascending order; otherwise this function sorts them in memory.
     """
     digest = hashlib.sha256()
     for name, content in episodes if is_sorted else sorted(episodes):

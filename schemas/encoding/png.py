@@ -19,9 +19,9 @@ from schemas.errors import InvalidBundle
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NONE, _SUB = 0, 1
-_ISAL_ERROR = cast(type[Exception], IsalError)  # the package's stub declares an instance instead of a class
+_ISAL_ERROR = cast(type[Exception], IsalError)  # isal's type stub declares it as an instance, not as a class
 _BAND_ROWS = 64
-"""Number of rows that are decoded together; with two copies, rows of 640 pixels take 370 kB."""
+"""Number of rows that are decoded together. A band of 640 pixels per row and its two copies take 370 kB."""
 _LEVEL = 2
 # Sizes of office frames with filter None / Sub / Up / Paeth: 429 / 383 / 412 / 388 kB at isal level 2, which takes as
 # long as levels 0 and 1. Ids: 14 / 11 / 12 kB with None / Sub / Up, but None decodes in a third of the time.

@@ -47,7 +47,7 @@ OOD_TEMPLATES = MappingProxyType({f"ood_{n:02d}": text for n, text in enumerate(
 """O1-O12 of the paper, as `ood_01` ... `ood_12`; only `test_paraphrase_ood` uses them."""
 TEMPLATES = MappingProxyType({**TRAIN_TEMPLATES, **OOD_TEMPLATES})
 FROM_START = "from_start"
-"""Template of a planned episode whose sentence the worker writes at its start (docs/language.md#plans)."""
+"""Template id of episodes whose instruction the worker writes at the start (docs/language.md#plans)."""
 
 
 def needs_colour(template_id: str) -> bool:

@@ -56,7 +56,7 @@ def _see(
     depth: NDArray[np.float32],
     tangents: NDArray[np.float64],
 ) -> SeenObject:
-    """Returns an object from its pixels, rows and columns."""
+    """Returns the object with this id from the rows and columns of its pixels."""
     up, aside = tangents[pixels[0]], tangents[pixels[1]]
     ranges = depth[pixels] * np.sqrt(1 + up**2 + aside**2)
     return SeenObject(number, float(ranges.min()), math.atan(float(aside.mean())), len(ranges))

@@ -53,17 +53,19 @@ class StartView(Model):
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
     within_rad: NonNegative | None = None
-    """Largest angle between heading and target, which then must be in view; `None` sets no condition."""
+    """Largest angle between the heading and the direction to the target, radians. The target must also be in view.
+    `None` sets no condition."""
     other_referents: Annotated[InstanceIds, Field(alias="rivals")] = ()
-    """Other objects that the instruction fits. If there are any, the target must be in view, and none of them."""
+    """Other objects that the instruction fits. If there are any, the target must be in view, and these objects must
+    not."""
     same_category: Annotated[InstanceIds, Field(alias="alike")] = ()
     """Other objects of the target's category. None of them may be in view without the target."""
     least_same_category: Annotated[Count, Field(alias="least_alike", exclude_if=lambda it: it == 0)] = 0
     """Smallest number of objects of `same_category` that must be in view if the target is; 0 sets no condition."""
     ranks: tuple[Fraction, Fraction] | None = Field(default=None, exclude_if=lambda it: it is None)
-    """Two random numbers from 0 to 1. If the first is below 1 / k, the target must be the nearest of the k objects
-    of its category in view; otherwise it must not be. The second likewise concerns the most central one.
-    `None` sets no condition."""
+    """Two random numbers from 0 to 1. If the first is below 1 / k, the target must be the nearest of the k objects of
+    its category in view; otherwise it must not be the nearest. The second number decides in the same way about the most
+    central object. `None` sets no condition."""
     choice: TargetChoice | None = Field(default=None, exclude_if=lambda it: it is None)
     """Draw of the target at the start, for which `least_same_category` counts the objects that could be the target;
     `None` if the plan names the target."""

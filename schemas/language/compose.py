@@ -33,7 +33,8 @@ from schemas.terms import CATEGORIES, COLOUR_NAMES
 
 _TRIES = 8
 _FEW, _SHORT_SEARCHES = 4, 2
-"""Number of features of a short search, and number of short searches before a search with all features."""
+"""`_FEW`: number of features of a short search. `_SHORT_SEARCHES`: number of short searches before the searches with
+all features."""
 _WORD_GROUPS = ("kind", "landmark", "relation", "size", "side", "colour", "article", "material")
 _SYNONYMS = 6
 
@@ -87,7 +88,8 @@ class Composer:
         return Search(scene.parts, seen, number, families, self._by_language[code].grammar)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
-        """Returns a few features, drawn by their weights, for a short search; after two tries, all features."""
+        """Returns the features for try number `turn`: in the first two tries, a few features drawn by their weights; in
+        later tries, all features."""
         every = self.spec.families
         if len(every) <= _FEW or turn >= _SHORT_SEARCHES:
             return every
@@ -237,8 +239,9 @@ class Composer:
         return None
 
     def _absent(self, scene: SceneLanguage, number: int, code: str) -> list[list[Expression]]:
-        """Returns groups of expressions that may fit no object: categories that the scene lacks, and the category of an
-        object with other colours or other landmarks."""
+        """Returns groups of expressions that may fit no object of the scene. The first group names the categories that
+        the scene lacks. The other groups name the category of object `number` with each colour, and next to each other
+        kind of object."""
         own, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
         kinds = sorted({each.kind for each in scene.graph.objects if each.kind in nouns})
         others = [kind for kind in kinds if kind != own.kind]

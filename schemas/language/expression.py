@@ -26,7 +26,7 @@ class Relation(StrEnum):
     IN_CORNER = "in_corner"  # close to two perpendicular walls
     EMPTY = "empty"  # nothing is on its flat top
     OCCUPIED = "laden"  # something is on its flat top
-    WITH_BESIDE = "with_beside"  # an exact number of objects of a kind is close to it, and to nothing else with a top
+    WITH_BESIDE = "with_beside"  # an exact number of objects of a kind is close to it, not to another object with a top
     WITH_ON = "with_on"  # an exact number of objects of a kind is on its top
     THIS_ROOM = "this_room"  # in the room of the start
     IN_ROOM = "in_room"  # in the only room of a type
@@ -94,9 +94,9 @@ STATES = frozenset({Relation.EMPTY, Relation.OCCUPIED})
 COUNTED = frozenset({Relation.WITH_BESIDE, Relation.WITH_ON})
 """Relations that name a number of objects."""
 AHEAD_SIDES = MappingProxyType({ViewSide.AHEAD_LEFT: 1.0, ViewSide.AHEAD_RIGHT: -1.0})
-"""Sides of the way ahead; positive to the left."""
+"""Sign of the distance from the way ahead, for each of its sides: positive to the left."""
 OF_START = FROM_VIEW | OF_VIEWER | {Relation.THIS_ROOM}
-"""Relations that depend on the start pose, without superlatives."""
+"""Relations that depend on the start pose, except superlatives."""
 SUPERLATIVES = frozenset({Relation.NEAREST_TO, Relation.FARTHEST_FROM, Relation.NEAREST_YOU})
 """Relations that select one of the objects that the rest of the expression fits."""
 FAMILY = MappingProxyType(
@@ -156,7 +156,7 @@ class Ordinal(Model):
     """Position of an object in the view at the start, or along the way ahead."""
 
     number: Annotated[int, Field(ge=1, le=4)]
-    """Position in this order, from 1."""
+    """Position in the order `side`, from 1."""
     side: ViewSide
     """Order in which objects are counted."""
 
@@ -181,7 +181,8 @@ class Expression(Model):
 
     @property
     def families(self) -> frozenset[Family]:
-        """Families of the features, without `SUPERCLASS`: whether `kind` is a superclass depends on the target."""
+        """Families of the features. They never include `SUPERCLASS`, because the target determines whether `kind` is a
+        superclass."""
         parts = {
             Family.COLOUR: self.colour,
             Family.MATERIAL: self.material,

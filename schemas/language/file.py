@@ -102,9 +102,10 @@ class LanguageSpec(Model):
     seed: Count = 0
     """Random seed."""
     paraphrases: Paraphrases = Field(default_factory=dict, exclude_if=lambda it: not it)
-    """Further sentence patterns by language and register, each with one slot `{np}`; omitted if there are none."""
+    """Additional sentence patterns by language and register, each with one slot `{np}`; omitted if there are none."""
     nouns: Annotated[dict[Name, Nouns], Field(max_length=64)] = Field(default_factory=dict)
-    """Nouns of further kinds by language; in German and Spanish `noun:gender`, in Chinese `noun:measure word`."""
+    """Nouns by language and kind, which replace or extend the built-in nouns. They are written as `noun:gender` in
+    German and Spanish, and as `noun:measure word` in Chinese."""
 
     @field_validator("languages")
     @classmethod

@@ -17,7 +17,7 @@ Probe = tuple[int, SceneView]
 
 
 def explain_impossible(scene: SceneLanguage, spec: LanguageSpec, probes: Sequence[Probe]) -> str:
-    """Returns why no probe gets an instruction, and what is possible; empty if one gets an instruction.
+    """Returns why no probe gets an instruction, and which features are possible; empty if a probe gets an instruction.
 
     Args:
         scene: prepared scene.

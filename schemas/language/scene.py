@@ -1,4 +1,4 @@
-"""Prepares a scene for instructions: facts for the generator, the verifier, and doorways. Opens no file."""
+"""Prepares a scene for instructions: the verifier, the doorways, and facts for the generator. Opens no file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from schemas.language.verifier.verify import Verifier
 
 @dataclass
 class SceneLanguage:
-    """Prepared scene: facts for the generator, and the verifier.
+    """Prepared scene: the verifier, and facts for the generator.
 
     Args:
         graph: scene graph.

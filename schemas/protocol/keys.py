@@ -128,7 +128,8 @@ def scene_pattern(run: str) -> str:
 
 
 def scene_selector(run: str, sha256: str, chunk: Chunk) -> str:
-    """Returns the selector of a chunk of a compiled scene; the reply is shorter only at the end of the file."""
+    """Returns the selector of a chunk of a compiled scene; a reply is shorter than the chunk only at the end of the
+    file."""
     return f"{scene_key(run, sha256)}?off={chunk.offset};n={chunk.length}"
 
 

@@ -39,13 +39,13 @@ class HostStatus(Model):
     host: Line
     """Name of the host."""
     strikes: Count
-    """Number of counted failures minus successes."""
+    """Number of failures attributed to the host; each episode that it delivers halves the number."""
     resumes_at: datetime
     """Time until which it gets no job, UTC."""
     barred_at: datetime | None
     """Time since which it gets no job until an operator releases it, UTC; `None` if it is not barred."""
     reason: Text
-    """Last counted failure."""
+    """Last failure that was attributed to the host."""
 
 
 Counts = Annotated[dict[Line, Count], Field(max_length=_MAX_GROUPS)]
@@ -76,9 +76,9 @@ class Progress(Model):
     hosts: Annotated[tuple[HostStatus, ...], Field(max_length=_MAX_SESSIONS)] = ()
     """Hosts that pause or are barred."""
     by_gateway: Counts = Field(default_factory=dict)
-    """Number of archived episodes that a gateway stores, by its name; the core stores all others."""
+    """Number of archived episodes that each gateway stores, by its name; the coordinator stores all others."""
     layouts: Counts = Field(default_factory=dict)
-    """Number of layouts that workers build by state; empty if the run started with all scenes."""
+    """Number of layouts that workers build, by state; empty if all scenes existed when the run started."""
     shards: Count = 0
     """Number of shards of the dataset; 0 if no episode is packed."""
     episodes_per_hour: NonNegative | None
@@ -99,7 +99,7 @@ class Progress(Model):
 
     @property
     def built_layouts(self) -> str:
-        """Number of built and of all layouts as text, e.g. `3 of 8 layouts built`; empty without layouts."""
+        """Numbers of built layouts and of all layouts as text, e.g. `3 of 8 layouts built`; empty without layouts."""
         built, total = self.layouts.get("archived", 0), sum(self.layouts.values())
         return f"{built} of {total} layouts built" if total else ""
 

@@ -14,7 +14,8 @@ from schemas.support.numpy_types import Floats
 _STEPS = 24
 _NEWTON_STEPS = 6
 _LEAST_GAIN = 1e-3
-"""Smallest Jacobian determinant at which `undistort` gives a point; where it is 0, the distorted image folds over."""
+"""Smallest determinant of the Jacobian at which `undistort` returns a point. Where the determinant is 0, the distorted
+image folds over."""
 
 
 def distort(points: Floats, coefficients: Sequence[float]) -> Floats:

@@ -22,7 +22,7 @@ from schemas.rig import Rig, Sensor
 from schemas.rig.arrays import arrays_at, arrays_of, is_of_motion, measured_steps
 
 SENSORS = "sensors/"
-"""Start of the names of these members."""
+"""Start of the name of each member with measurements."""
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays of one measurement, or of a sensor of motion over an episode, by name."""
 _SLACK_BYTES = 4096

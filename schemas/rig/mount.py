@@ -38,7 +38,7 @@ class TimedSensor(Model):
     name: Name
     """Name of the sensor, unique in its rig."""
     rate_hz: Annotated[float, Field(gt=0, le=240)] | None = None
-    """Measurements per second, which divide the control rate; null is the control rate."""
+    """Measurements per second; the control rate must be a multiple of this number. Null is the control rate."""
 
     def stride(self, control_hz: int) -> int:
         """Returns the number of control steps between two measurements.

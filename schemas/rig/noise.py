@@ -19,9 +19,10 @@ class _TriangulationNoise(Model):
     second_view: Literal["left", "right"] = "right"
     """Side of this camera on which the second camera or the projector is."""
     window_px: Annotated[int, Field(ge=3, le=65)] = 9
-    """Side of the matching window, pixels; a window that contains a depth edge can give no measurement."""
+    """Side of the matching window, pixels; a pixel whose window contains a depth edge may have no measurement
+    (`edge_dropout`)."""
     edge_dropout: Fraction = 0.5
-    """Share of the pixels at depth edges without a measurement."""
+    """Share of the pixels at depth edges that have no measurement."""
 
     @model_validator(mode="after")
     def _range_is_ordered(self) -> Self:
@@ -48,7 +49,7 @@ class StereoDepthNoise(_TriangulationNoise):
     shift_std_px: Annotated[float, Field(ge=0, le=4)] = 0.0
     """Standard deviation of the lateral displacement of a pixel, pixels."""
     hole_share: Fraction = 0.02
-    """Share of all pixels in holes, as on surfaces without texture."""
+    """Share of all pixels that have no measurement because of holes, as on surfaces without texture."""
     range_min_m: Positive = 0.3
     """Shortest measured depth, metres."""
     range_max_m: Positive = 10.0
@@ -69,7 +70,7 @@ class StructuredLightNoise(_TriangulationNoise):
     shift_std_px: Annotated[float, Field(ge=0, le=4)] = 0.5
     """Standard deviation of the lateral displacement of a pixel, pixels."""
     hole_share: Fraction = 0.0
-    """Share of all pixels in holes, as on surfaces that absorb the light."""
+    """Share of all pixels that have no measurement because of holes, as on surfaces that absorb the light."""
     range_min_m: Positive = 0.5
     """Shortest measured depth, metres."""
     range_max_m: Positive = 5.0
@@ -106,7 +107,7 @@ class ColourNoise(Model):
     """Standard deviation of the read noise, electrons; by default that of a Sony IMX255, whose dynamic range is
     71.3 dB."""
     gain_db: Annotated[float, Field(ge=0, le=60)] = 12.0
-    """Analogue gain, decibels; 12 is indoor light, where a saturated value has a quarter of the electrons."""
+    """Analogue gain, decibels. 12 dB suits indoor light; a pixel is then saturated by a quarter of `full_well_e`."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     """Quality of JPEG compression; null means no compression."""
 
@@ -133,7 +134,7 @@ class LidarNoise(Model):
     """Longest range of a matt surface that faces the lidar, metres (the same manual); it decreases with the square
     root of the cosine of the angle of incidence. Null means no such limit."""
     dropout: Fraction = 0.0
-    """Share of the rays without a measurement."""
+    """Share of the rays that give no measurement."""
     sweep_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Duration of a scan, during which the robot moves, seconds; 0 casts all rays from the pose at the end of the
     scan, as after motion compensation."""

@@ -72,7 +72,7 @@ class Rig(Model):
         return tuple(sensor for sensor in self.sensors if isinstance(sensor, kinds))
 
     def plain(self) -> dict[str, Any]:
-        """Returns the rig as JSON values, without those that equal their default."""
+        """Returns the rig as JSON values; omits values that equal their default."""
         return self.model_dump(mode="json", exclude_defaults=True)
 
     @property
@@ -82,7 +82,7 @@ class Rig(Model):
         return hashlib.sha256(text.encode()).hexdigest()
 
     def choose(self, names: Iterable[str] | None = None) -> dict[str, Sensor]:
-        """Returns the sensors with some names, or all for `None`.
+        """Returns the sensors with the given names; `None` returns all sensors.
 
         Raises:
             UsageError: the rig has no sensor of that name.

@@ -50,7 +50,7 @@ def complete_package(package: bytes, read: ReadTexture, known: Collection[str] =
 
 
 def split_package(file: BinaryIO) -> PackageParts:
-    """Splits a complete package into the package and its textures; decodes none and compares no digests.
+    """Splits a complete package into the package and its textures; does not decode or verify the textures.
 
     Raises:
         InvalidBundle: the file is damaged.
@@ -67,7 +67,7 @@ def split_package(file: BinaryIO) -> PackageParts:
 
 
 def require_sound(file: BinaryIO) -> None:
-    """Decodes a package and each texture that it contains; textures that it only lists are not required.
+    """Decodes a package and each texture that it contains; listed textures that it does not contain are ignored.
 
     Raises:
         InvalidBundle: a part is damaged, inconsistent or not needed.

@@ -65,7 +65,7 @@ def read_texture(package: Path, texture: TextureFile) -> bytes:
 
 
 def copy_package(package: Path, target: Path) -> None:
-    """Copies a package to a new path, and before it the textures that the folder of the copy does not have."""
+    """Copies the textures that are missing in the folder of the new path, then the package to that path."""
     for texture in read_info(package).textures:
         copy = target.parent / texture.file
         if not copy.exists():

@@ -46,8 +46,8 @@ class Instance(Model):
     category: Name | None = None
     """Category of the object, or `None` for walls, floors and clutter."""
     materials: Annotated[tuple[Name, ...], Field(max_length=16)] = Field(default=(), exclude_if=lambda it: not it)
-    """Known materials: the one that covers at least 60 % of its surface, then others that are visible; `unknown`
-    means surfaces of unknown material. Empty and omitted if no known material covers that much."""
+    """Materials of the object: first the known material that covers at least 60 % of its surface, then the others that
+    are visible; `unknown` means surfaces of unknown material. Empty and omitted if no known material covers 60 %."""
 
 
 class Target(Model):
@@ -74,9 +74,9 @@ class Target(Model):
     footprint_m: Footprint = ()
     """Convex hull of the target's projection to the floor; empty in a package of format 2."""
     surface_straight_tiers: Tiers = ()
-    """`straight_tiers` by the distance to the footprint; empty in a package of format 2."""
+    """As `straight_tiers`, with distances to the footprint; empty in a package of format 2."""
     surface_connected_tiers: Tiers = ()
-    """`connected_tiers` by the distance to the footprint; empty in a package of format 2."""
+    """As `connected_tiers`, with distances to the footprint; empty in a package of format 2."""
 
     def tiers(self, success: SuccessMeasure, by_path: bool) -> tuple[Tier, ...]:
         """Returns the tiers that have a start pose.

@@ -35,7 +35,8 @@ _SMALLER: dict[str, tuple[Callable[..., NDArray[Any]], tuple[ArraySpec, ...]]] =
     "positions": (columns.join_positions, (columns.PLACES, columns.PLACE_STEPS)),
     "light_map": (columns.join_light, (columns.LIGHT_STEPS,)),
 }
-"""Arrays that format 4 stores in a smaller form: the function that restores one, and the specs of the stored arrays."""
+"""Arrays that format 4 stores in a smaller form, by name: the function that restores the array, and the specs of the
+arrays that are stored instead."""
 _LAYOUT_SPECS = [
     spec for name, own in SCENE_ARRAYS.items() for spec in (_SMALLER[name][1] if name in _SMALLER else (own,))
 ]
@@ -126,7 +127,7 @@ def read_survey(file: BinaryIO) -> tuple[NDArray[np.float32], NDArray[np.uint8]]
 
 
 def _info_json(info: SceneInfo) -> bytes:
-    # omitted, so packages of older versions keep their bytes
+    # unused fields are omitted, so a scene without them has the same package as with older versions
     unused = {name for name in ("sky", "textures") if not getattr(info, name)}
     return info.model_dump_json(indent=1, exclude=unused).encode()
 

@@ -21,7 +21,7 @@ _PARTS = frozenset({*_FOLDERS, META_FILE, CARD_FILE, MARKS_FILE, RELABEL_FILE, R
 
 
 def is_part(name: str) -> bool:
-    """Returns whether a directory entry belongs to the dataset; this includes hidden files and the ledger."""
+    """Returns whether a directory entry belongs to the dataset; true for hidden files and the files of the ledger."""
     return name in _PARTS or name.startswith((".", "ledger."))
 
 

@@ -14,8 +14,8 @@ from typing import Any, BinaryIO, Literal, NamedTuple
 from schemas.storage.object_store import Objects, objects_at
 
 _READ_AHEAD_BYTES = 1 << 20
-"""Size of a range request, bytes. It covers one frame of the largest scene or twenty of the smallest, so a frame
-takes at most one request, not three."""
+"""Size of a range request, bytes. It covers one frame of the largest scene or twenty frames of the smallest, so the
+three images of a frame need at most one request together."""
 _TAIL_BYTES = 512 << 10
 """Size of the request for the end of a file, bytes. It covers directory, metadata and arrays of an episode of 1000
 frames, so one request opens it."""

@@ -172,7 +172,8 @@ _known: dict[str, ShardIndex] = {}
 def packed_place(root: Place, number: int) -> PackedPath | None:
     """Returns the path of a packed episode according to the index, or `None`; this process reads the index once.
 
-    Does not check whether the episode is stored there, which may be wrong in an outdated index; `episode_place` does.
+    Does not check whether the episode is stored there. An outdated index may give a wrong path; `episode_place` checks
+    the path.
     """
     key = _key(root)
     if key not in _known:
@@ -183,8 +184,9 @@ def packed_place(root: Place, number: int) -> PackedPath | None:
 def episode_place(root: Place, number: int) -> FilePlace:
     """Returns the path of an episode: its file, or its place in a shard.
 
-    For an episode that is not stored, this is the path that its file would have. Reads the header of a packed episode;
-    if it is missing there, the index is outdated, and the directories of the shards are read.
+    For an episode that is not stored, this is the path that its file would have. Reads the header at the place that the
+    index names. If it is not the header of the episode, the index is outdated, and the directories of the shards are
+    read.
 
     Args:
         root: root of the dataset.

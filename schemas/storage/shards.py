@@ -26,7 +26,8 @@ from schemas.job import episode_id, index_of_file
 
 MAX_SHARD_EPISODES = 1000
 MAX_PACKED_BYTES = 1 << 20
-"""Largest episode that is packed, bytes. A shard of the largest episodes needs no zip64 records."""
+"""Largest size of an episode that is packed, bytes. A shard with 1,000 episodes of this size still needs no zip64
+records."""
 _LIMITS = ContainerLimits(MAX_SHARD_EPISODES, MAX_PACKED_BYTES)
 _MAX_SHARD_BYTES = MAX_SHARD_EPISODES * (MAX_PACKED_BYTES + 256)
 _NAME = re.compile(r"shard_(\d{6,7})-(\d{6,8})-[0-9a-f]{8}\.zip", re.ASCII)
@@ -47,7 +48,7 @@ class ShardDirectory(NamedTuple):
 
 
 def range_of(number: int, episodes: int = MAX_SHARD_EPISODES) -> tuple[int, int]:
-    """Returns the first and the last number of the range that contains an episode, for ranges of that size."""
+    """Returns the first and last number of the range that contains an episode; a range has `episodes` numbers."""
     first = (number - 1) // episodes * episodes + 1
     return first, first + episodes - 1
 

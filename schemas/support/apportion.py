@@ -32,7 +32,7 @@ def webster_sequence(shares: Mapping[Key, float], count: int) -> list[Key]:
 def apportion(shares: Mapping[Key, float], count: int) -> dict[Key, int]:
     """Returns the quota of each key; the quotas sum to `count`."""
     total = sum(shares.values())
-    # the first quotas are below the result of Webster's method, so large numbers need few steps
+    # starts with quotas below the result of Webster's method, so the loop is short for a large count, too
     given = {key: max(0, int(count * share / total) - len(shares)) for key, share in shares.items()}
     for _ in range(count - sum(given.values())):
         given[max(given, key=lambda k: shares[k] / (2 * given[k] + 1))] += 1

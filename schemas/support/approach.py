@@ -14,7 +14,7 @@ from schemas.support.planar import gaps_to, polygon_distances, squares
 _STEP = 2.0**-36
 """Resolution of a point on a line, as a share of its length; below 1e-8 m on a line of 100 m."""
 _NEWTON_STEPS = 6
-"""Steps after which Newton's method has found nearly all points on lines; bisection finds the others."""
+"""Largest number of steps of Newton's method, which find nearly all points on lines; bisection finds the others."""
 
 
 def target_distances(points: Floats, centre: Floats, vertices: Floats | None) -> Floats:
@@ -58,9 +58,9 @@ def approach(starts: Floats, limit: Floats, centre: Floats, vertices: Floats | N
 def _bracket(away: Floats, limit: Floats, centre: Floats, vertices: Floats) -> tuple[Floats, Floats]:
     """Returns two positions (...) on each line (..., 2) from a centre, between which it crosses a distance (...).
 
-    A position is a share of the line and a multiple of `_STEP`. The positions are two steps apart if Newton's method
-    found the crossing, else they are 0 and 1; the bisection between them has the same result. The distance is a convex
-    function of the position, so the method cannot pass the crossing.
+    A position is a share of the line and a multiple of `_STEP`. The positions differ by `2 * _STEP` if Newton's method
+    found the crossing, else they are 0 and 1; bisection gives the same point in both cases. The distance is a convex
+    function of the position, so Newton's method cannot pass the crossing.
     """
     share = np.ones(away.shape[:-1])
     for _ in range(_NEWTON_STEPS):

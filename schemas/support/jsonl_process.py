@@ -23,13 +23,13 @@ M = TypeVar("M")
 _REAP_S = 3.0
 _READ_BYTES = 1 << 16
 _STDERR_BYTES = 1 << 20
-"""Size from which stderr is emptied before the next message is sent."""
+"""Size above which the file with the process's stderr is emptied when the next line is sent, bytes."""
 _TAIL_BYTES = 2000
 _MAX_LINE_BYTES = 16 << 20
 
 ENDED_FROM_OUTSIDE = frozenset({-signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP, -signal.SIGUSR1})
-"""Exit statuses of a process that a batch system, a service manager or a user ended; its own work does not cause
-them."""
+"""Exit statuses of a process that a batch system, a service manager or a user ended. The work of a process does not
+cause them."""
 
 
 def describe_exit(status: int) -> str:
@@ -189,7 +189,7 @@ class JsonlProcess(Generic[M]):
 
 
 def _file_to_append() -> IO[bytes]:
-    """Returns an unnamed file in append mode, so a process continues at its end after the file was emptied."""
+    """Returns an unnamed file in append mode: after it was emptied, a process writes at its start, not behind a gap."""
     file = tempfile.TemporaryFile()  # noqa: SIM115 - closed by the caller
     fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) | os.O_APPEND)
     return file

@@ -33,7 +33,8 @@ class LogLimit:
         self._clock = clock
         self._guard = threading.Lock()
         self._kinds: dict[str, tuple[float, float, int]] = {}
-        """Time of the next line, pause after that line, and number of lines omitted since the last one, by kind."""
+        """By kind: earliest time of the next line, pause after that line, number of lines omitted since the last
+        line."""
 
     def admit(self, kind: str = "") -> int | None:
         """Returns the number of omitted lines of a kind before this one, or `None` if this line is to be omitted."""
@@ -43,7 +44,7 @@ class LogLimit:
             if now < due:
                 self._kinds[kind] = due, pause_s, omitted + 1
                 return None
-            if now > due + pause_s:  # no failure occurred for a whole pause after the next line was permitted
+            if now > due + pause_s:  # no line was requested for a whole pause after `due`
                 pause_s = self._first_s
             if len(self._kinds) >= _MAX_KINDS:
                 self._kinds.clear()

@@ -1,7 +1,7 @@
 """Sine, cosine, arctangent, matrix product and linear solver with bit-identical results on all processors.
 
-numpy has several kernels for sine and cosine. BLAS, which `@`, `np.dot`, `np.linalg.solve` and the norm of a single
-vector call, has several kernels for the product. Both libraries select a kernel by processor, and the kernels differ in
+numpy has several kernels for sine and cosine. `@`, `np.dot`, `np.linalg.solve` and the norm of a single vector use
+BLAS, which has several kernels for the product. Both libraries select a kernel by processor, and the kernels differ in
 the last bit. So values that are written to an episode or a scene are computed with this module instead.
 """
 

@@ -16,7 +16,8 @@ from schemas.support.suggest import did_you_mean
 
 _MOST_BYTES = 4 << 20
 _DEEP_KEY = re.compile(r"^[ \t]*\[{0,2}(?:[ \t]*[\w-]+[ \t]*\.){1000}", re.ASCII | re.MULTILINE)
-"""Key with more parts than any model has; `tomllib` reads it in a time that grows with the square of their number."""
+"""Key with more parts than any model has. The time in which `tomllib` reads a key grows with the square of the number
+of its parts."""
 
 
 def read_toml(path: Path, noun: str, refusal: type[Findings]) -> dict[str, Any]:
@@ -28,7 +29,7 @@ def read_toml(path: Path, noun: str, refusal: type[Findings]) -> dict[str, Any]:
         refusal: class of the error.
 
     Raises:
-        Findings: the file cannot be read as TOML; of the class `refusal`.
+        Findings: the file cannot be read as TOML; the class of the error is `refusal`.
     """
     try:
         if path.stat().st_size > _MOST_BYTES:

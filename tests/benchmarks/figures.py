@@ -39,7 +39,7 @@ class Figure(NamedTuple):
 
 
 def of_rollout(report: dict[str, Any]) -> Iterator[Figure]:
-    """Rollout on one core; targets for every scene: real time, 20 times the plain pipeline's speed, at most 1 GiB."""
+    """Rollout on one core. Each scene has three targets: real time, 20 times the speed of the plain pipeline, 1 GiB."""
     for scene, found in report["scenes"].items():
         yield Figure(f"{scene}: frames/s per core", found["frames_per_s_per_core"], 60)
         yield Figure(f"{scene}: times plain PyBullet", found["ratio"], 20)
@@ -70,7 +70,7 @@ def of_render(report: dict[str, Any]) -> Iterator[Figure]:
 
 
 def of_loader(report: dict[str, Any]) -> Iterator[Figure]:
-    """PyTorch loader of rendered frames on all cores; the target of the speedup is for two cores."""
+    """PyTorch loader of rendered frames on all cores; the target of the speedup assumes two cores."""
     rates = {name: report[f"{name}_frames_per_s"] for name in ("one_thread", "threads", "loader")}
     if all(rates.values()):  # torch is installed
         alone, *others = (rate["median"] for rate in rates.values())

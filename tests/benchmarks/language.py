@@ -61,7 +61,10 @@ def starts_of(scene: CompiledScene, language: SceneLanguage, rng: np.random.Gene
 
 
 def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart]) -> tuple[float, int]:
-    """Returns instructions per second of CPU time, view included, and the number of drives without an instruction."""
+    """Returns the instructions per second of CPU time and the number of starts without an instruction.
+
+    The CPU time includes the views.
+    """
     composer, rng, best, without = Composer(spec), np.random.default_rng(0), 0.0, 0
     for _ in range(3):  # the first round also fills caches, so the best round counts
         begin, count, without = time.process_time(), 0, 0
@@ -74,9 +77,9 @@ def rate(spec: LanguageSpec, language: SceneLanguage, starts: list[LanguageStart
 
 
 def rejected_changes(language: SceneLanguage, starts: list[LanguageStart]) -> tuple[int, int]:
-    """Changes one word of a sentence at a time, so it is false or ambiguous.
+    """Changes one word of each sentence, so that the sentence becomes false or ambiguous.
 
-    Returns how many of the changed sentences the verifier rejects, and their number.
+    Returns the number of changed sentences that the verifier rejects, and the number of all changed sentences.
     """
     rng, source, seen, rejected = np.random.default_rng(1), grammar("en"), 0, 0
     patterns = [each for each in source.sentences if each.case == "nom"]

@@ -41,7 +41,7 @@ from workers.render.choose import open_renderer
 SIDE, HEAD, COLUMNS, ROWS = 380, 56, 2, 4
 CAMERA = CameraConfig()
 RARE = dict.fromkeys(("between", "count", "material", "size", "state", "superclass", "support", "view"), 8.0)
-"""Weights of features that few targets have."""
+"""Feature that few targets have -> weight of the feature. The default weight is 1."""
 SPEC = LanguageSpec(
     languages={"en": 3.0, "de": 1.0, "es": 1.0, "zh": 1.0}, features={"colour": 0.5, **RARE}, redundant=0.15
 )

@@ -1,4 +1,4 @@
-"""Measures the CPU time in which a simulation switches between layouts, and its memory. Arguments: `PACKAGE...`.
+"""Measures CPU time and memory of a simulation that switches between layouts. Arguments: `PACKAGE...`.
 
 Loads all packages twice in turn, each with the steps of an attempt: reading, collider, grid, upload to the renderer,
 physics and the first frame. Packages are files of a scene cache, next to their textures. Builds no layout.

@@ -30,7 +30,7 @@ class ArchivedRun:
         root: directory of the dataset.
         planned: number of planned episodes.
         done: number of archived episodes.
-        misses: number of failed attempts of the first episode; two failures use up the attempts of a draw.
+        misses: number of failed attempts of the first episode; each draw permits two attempts.
         record: what the episodes store.
     """
 
@@ -72,11 +72,12 @@ class ArchivedRun:
         return self._parts(index).write()
 
     def repair_input(self, scenes: Sequence[str] = ()) -> RepairInput:
-        """Returns the input of a repair of this directory."""
+        """Returns the input of a repair of this directory; the packages of `scenes` in it are unusable."""
         return RepairInput(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
 
     def pack(self, size: int, *, is_over: bool = True) -> int:
-        """Packs the settled ranges of `size` episodes and writes the tables; returns the number of packed episodes."""
+        """Packs the ranges of `size` episodes that are settled, writes the tables, and returns the number of packed
+        episodes."""
         with open_archive(self.root) as archive:
             with self.timed_ledger.engine.connect() as connection:
                 packed = pack_settled(archive, connection, self.plan, is_over, size)

@@ -33,7 +33,7 @@ from schemas.tokens import tokens_of
 Frame = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
 
 GOAL_M = (1.6, 0.0, 0.5)
-"""Centroid of the target."""
+"""Centroid of the target, metres."""
 RADIUS_M = 1.58
 """Radius of the success circle, metres; so large that a drive of a few centimetres reaches the circle."""
 TARGET_ID, FLOOR_ID, WALL_ID = 7, 1, 2
@@ -79,7 +79,7 @@ def job_for(index: int = 1, **changes: Any) -> Job:
 
 
 def empty_arrays(specs: Mapping[str, ArraySpec]) -> Arrays:
-    """Returns zeros for each array; a dimension without a fixed size gets 12 rows, one for each step."""
+    """Returns an array of zeros for each spec; a dimension without a fixed size has length 12, the number of steps."""
     shapes = {name: [12 if side is None else side for side in spec.shape] for name, spec in specs.items()}
     return {name: np.zeros(shapes[name], spec.dtype) for name, spec in specs.items()}
 
@@ -92,7 +92,7 @@ class BundleParts:
     arrays: EpisodeArrays
     frames: list[Frame]
     measure: Callable[[Mapping[str, ArraySpec]], Arrays] = empty_arrays
-    """Returns the arrays of a measurement of the job's rig."""
+    """(specs of the arrays of one measurement) -> arrays; called for each measurement of the job's rig."""
 
     def with_meta(self, **changes: Any) -> BundleParts:
         return dataclasses.replace(self, meta=self.meta.model_copy(update=changes))

@@ -44,7 +44,10 @@ def is_added_pipe(link: Path) -> bool:
 
 
 def main() -> int:
-    """Describes the process after a line of input; with `wait`, waits; with `rename NAME`, renames itself and waits."""
+    """Describes the process after a line of input.
+
+    With the argument `wait`, it waits for a signal instead; with `rename NAME`, it first renames itself.
+    """
     if sys.argv[1] == "wait":
         signal.pause()
     if sys.argv[1] == "rename":

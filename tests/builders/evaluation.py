@@ -31,7 +31,8 @@ from workers.sim.scene_renderer import SceneRenderer
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
 TASK, ROBOT = TaskConfig(control_hz=20), RobotConfig(physics_substeps=12, max_braking_mps2=4.0)
-"""A third of the usual control rate with the usual physics step; the long control period needs gentle braking."""
+"""The control rate is a third of the default, and the physics step has the default length. The braking limit is half of
+the default, because control periods are long."""
 
 
 @functools.cache
@@ -90,7 +91,7 @@ def archive_drives(root: Path, episodes: int = 3) -> Path:
 
 
 def standing_still(drives: Dataset) -> Campaign:
-    """Returns two episodes of ten steps without motion."""
+    """Returns an evaluation of the policy `stop`, which does not move, in the test episodes, limited to ten steps."""
     specs = specs_of_dataset(drives, [Split.TEST_ID])
     task = specs.settings.task.model_copy(update={"max_steps": 10})
     specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})

@@ -48,7 +48,7 @@ from tests.builders.package import package_without_arrays
 from tests.builders.ports import free_endpoint
 
 SCENE = package_without_arrays(room_catalog()["room"].info, bytes(range(256)) * 10_000)
-"""Replaces a compiled scene; takes three chunks."""
+"""Package that replaces a compiled scene; it is transferred in three chunks."""
 RUN = "test-00000000"
 _CHUNK = 1 << 20
 _MESSAGES = {Verb.HELLO: Hello, Verb.CLAIM: Claim, Verb.BEAT: Beat, Verb.DONE: Done, Verb.FAIL: Fail}

@@ -106,7 +106,10 @@ class _Helper:
         self._bytes = int(ready)
 
     def has_room(self, words: Sequence[str]) -> bool:
-        """Returns whether the memory limit of a validator permits a copy of the helper; other modules have no limit."""
+        """Returns whether a fork of the helper leaves a validator enough memory below its limit.
+
+        Returns `True` for every other module, because only validators have a limit.
+        """
         if words[3] != VALIDATOR:
             return True
         limits = json.loads(words[4])  # not parsed by the pydantic model, whose import takes longer than most forks

@@ -75,9 +75,10 @@ class ForkServer(Closing):
     """Starts processes quickly. Context manager: exit kills the remaining processes.
 
     Args:
-        modules: modules to import in advance. Those that are run have a `main` that reads `sys.argv`.
+        modules: modules to import in advance. A module that `start` runs has a `main` that reads `sys.argv`.
         environment: environment variables of the server.
-        forks_children: the processes fork the Python processes that they start, see `tests.builders.fork_helper`.
+        forks_children: whether the started processes fork their own Python processes, as `tests.builders.fork_helper`
+            describes.
     """
 
     def __init__(self, modules: Sequence[str], environment: Mapping[str, str], *, forks_children: bool = False) -> None:
@@ -149,7 +150,7 @@ def main() -> None:
     for module in sys.argv[1:]:
         importlib.import_module(module)
     prepare_forks()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # at Ctrl-C, the owner closes stdin
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C also reaches the owner, which closes stdin
     hear, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake)

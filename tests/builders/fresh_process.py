@@ -21,7 +21,7 @@ import pytest
 from tests.builders.process_state import children_of
 
 _STACK_S = 1.0
-"""Time for one process to write its stacks, seconds; if two processes write at the same time, their lines mix."""
+"""Time for one process to write its stacks, seconds. If two processes wrote at the same time, their lines would mix."""
 
 
 def in_fresh_process(act: Callable[..., object], *args: object, timeout_s: float = 200.0) -> None:
@@ -46,7 +46,7 @@ def in_fresh_process(act: Callable[..., object], *args: object, timeout_s: float
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        process.kill()  # if the process has not created its group yet
+        process.kill()  # the process may not have created its group yet
         process.join()
         ours.close()
     assert not failure, failure
@@ -61,7 +61,7 @@ def _show_stacks(pid: int) -> None:
 
 def _run(result: Connection, act: Callable[..., object], args: tuple[object, ...]) -> None:
     os.setsid()
-    faulthandler.register(signal.SIGUSR1)  # the forks inherit it
+    faulthandler.register(signal.SIGUSR1)  # the forks inherit the handler
     try:
         act(*args)
     except BaseException:  # noqa: BLE001 - returned to the test

@@ -210,7 +210,7 @@ def is_false_or_ambiguous(expression: Expression, search: Search) -> bool:
             continue
         found = masks_of(clause, search)
         if found is None:
-            return True  # a definite landmark that does not exist
+            return True  # the clause names a landmark that does not exist
         masks = masks.both(found)
         parts += (part_of(clause, found),)
     if not masks.possible[search.number]:

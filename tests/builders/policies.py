@@ -26,7 +26,7 @@ class Raises(_Quiet):
 
 
 class Scans(_Quiet):
-    """Does not move; requests a lidar of the rig, and checks that it gets its ranges but no recorded images."""
+    """Does not move; requests a lidar of the rig, and checks that its input has the ranges but no recorded images."""
 
     needs = ("scan/ranges",)
 

@@ -112,7 +112,8 @@ def build_scene(
 
 
 _FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6))
-"""Corners of each face, counter-clockwise from outside; corner bits are x, y, z."""
+"""Numbers of the four corners of each face, counter-clockwise seen from outside. Bit 0 of a corner number selects the
+lower or the upper x, bit 1 the y, bit 2 the z."""
 
 
 def _triangles(box: Box) -> NDArray[np.float64]:

@@ -25,8 +25,8 @@ _DENIED = (
 class Moment(StrEnum):
     """Stage of a request."""
 
-    STARTED = "started"  # half of the body was received, nothing was forwarded
-    PASSED_ON = "passed_on"  # the server has executed it, the sender has no answer
+    STARTED = "started"  # half of the body was received, and nothing was forwarded
+    PASSED_ON = "passed_on"  # the server has executed the request, and the sender has no answer
     ANSWERED = "answered"  # the sender has the answer
 
 
@@ -47,8 +47,8 @@ class StoreRelay:
         self.ignores_conditions = False
         """Forwards requests without their `If-` headers."""
         self.watch: Callable[[Moment, str, str], bool] = lambda _moment, _command, _path: False
-        """Called at each moment of each request, with its method and path, in the relaying thread; returns whether the
-        sender has disconnected, so the rest of the request is not relayed."""
+        """(moment, method, path) -> whether the sender has disconnected; called in the relaying thread at each moment
+        of each request. If the sender has disconnected, the rest of the request is not relayed."""
         relay = self
 
         class Handler(_Handler):

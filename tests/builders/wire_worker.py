@@ -68,7 +68,7 @@ class WireWorker(Closing):
         self.sid = sid or f"{host}.{secrets.token_hex(3)}"
         self.spool: dict[tuple[int, int], tuple[Done, bytes]] = {}
         self.served: list[int] = []
-        """Requested offsets."""
+        """Offsets of the requested chunks."""
         self.served_together: list[int] = []
         """Number of ranges in each request for chunks."""
         self.is_frozen = False

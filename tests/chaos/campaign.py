@@ -47,9 +47,10 @@ layouts = 4
 episodes = 8
 """
 _IN_LAYOUTS = 8
-"""Number of episodes in generated layouts in the plan of the real simulation; building a layout can be killed too."""
+"""Number of episodes in generated layouts in `_REAL_PLAN`. With them, a kill can also interrupt the building of a
+layout."""
 _PACKING_S = 0.3
-"""Interval of the checkpoints, which pack episodes, seconds."""
+"""Interval between checkpoints in rounds that pack episodes, seconds; a checkpoint packs episodes."""
 log = Console(stderr=True, highlight=False)
 
 

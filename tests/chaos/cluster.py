@@ -217,7 +217,7 @@ class ChaosCluster(Closing):
         try:
             with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=0.5)) as ledger:
                 return ledger.execute(sql).fetchall()
-        except sqlite3.DatabaseError:  # busy, damaged, or without tables yet
+        except sqlite3.DatabaseError:  # the ledger is busy, damaged, or without tables yet
             return []
 
     def kill_worker(self, number: int) -> FaultSpan | None:
@@ -318,7 +318,7 @@ class ChaosCluster(Closing):
     def end(self) -> None:
         """Sends SIGTERM to all processes; a process that does not exit is a violation."""
         deadline = time.monotonic() + _SERVES_WITHIN_S
-        while not self._is_whole():  # a process that was killed cleans up at its next start
+        while not self._is_whole():  # killed processes clean up when they start again
             if time.monotonic() > deadline:
                 self.violations.append(f"not every process serves again within {_SERVES_WITHIN_S:g} s")
                 break
@@ -381,7 +381,7 @@ class ChaosCluster(Closing):
     def _await(self, process: _Process, who: str, within_s: float = _EXITS_WITHIN_S) -> None:
         deadline = time.monotonic() + within_s
         while process.poll() is None and time.monotonic() < deadline:
-            self._resume_due()  # it may wait for a frozen process
+            self._resume_due()  # the process may wait for a frozen process
             time.sleep(0.02)
         if process.poll() is None:
             self.violations.append(f"no exit within {_EXITS_WITHIN_S:g} s of a signal ({who}): {process.args!r}")

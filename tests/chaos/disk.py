@@ -55,7 +55,7 @@ class Disk(Closing):
 
     @property
     def environment(self) -> dict[str, str]:
-        """Environment variable of the library; may be set when the process starts or later."""
+        """Environment variable that names the file with the delay; a process may also set it after its start."""
         return {} if "slow disk" in self.missing else {"SLOW_DISK": str(self._speed)}
 
     def fill(self) -> FaultSpan | None:
@@ -125,5 +125,5 @@ class Disk(Closing):
             (self.path / "probe").unlink(missing_ok=True)
 
     def _miss(self, why: str) -> None:
-        for fault in ("slow disk", "full disk"):  # without the library no effect is recorded
+        for fault in ("slow disk", "full disk"):  # without the library, no effect of either fault is recorded
             self.missing.setdefault(fault, why)

@@ -48,13 +48,14 @@ _BEAT_S = 0.5
 _HELD_S = 4.0
 """Time for which a job is held without progress, seconds."""
 _SLOW_S, _SLOW_BYTES = 0.3, 512
-"""Pause before each answer for a slow bundle, seconds, and size of the answer, bytes."""
+"""A session waits for the first number of seconds before it answers a request for a chunk of a slow bundle. The answer
+has the second number of bytes."""
 _PAUSES = "no job for a hostile peer that pauses or is barred"
 _RETRY_S = 0.5
-"""Retry delay, seconds. A longer delay in a reply means that the host pauses or is barred."""
+"""Threshold of the retry delay in a claim reply, seconds. A longer delay means that the host pauses or is barred."""
 
 Key = tuple[int, int]
-"""Job and fence."""
+"""ID of a job and fence of its lease."""
 
 
 class _Session(WireWorker):

@@ -46,7 +46,7 @@ def preload_strikes(cluster: ChaosCluster, rng: random.Random) -> bool:
             ledger.execute(
                 "insert or replace into hosts (host, strikes, last_job, resumes_at, reason) values (?, ?, ?, ?, ?)", row
             )
-    except sqlite3.DatabaseError:  # missing, busy, or the disk is full
+    except sqlite3.DatabaseError:  # the ledger is missing or busy, or the disk is full
         return False
     return True
 

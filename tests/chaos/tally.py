@@ -34,7 +34,7 @@ class Tally:
     seconds: float = 0.0
 
     def add(self, other: Tally) -> None:
-        """Adds the counts of another round, except the seconds."""
+        """Adds the counts of another round, but not its duration."""
         for mine, more in (
             (self.faults, other.faults),
             (self.without_effect, other.without_effect),

@@ -78,7 +78,7 @@ def test_workers_switch_gateways_after_a_kill_and_the_gathered_dataset_is_equal(
         while len(cluster.archived()) < EPISODES:
             assert time.monotonic() < deadline, cluster.log.read_text()[-4000:]
             done = len(cluster.archived())
-            if not is_killed and done >= 2:  # it stays down until half of the episodes are archived
+            if not is_killed and done >= 2:  # the gateway stays down until half of the episodes are archived
                 is_killed = cluster.kill_gateway(0, float("inf")) is not None
             cluster.tend(at_once=is_killed and done > EPISODES // 2)
             time.sleep(0.05)

@@ -15,7 +15,7 @@ from factory.scenes.author.placement import FloorPlan, PropPlacement, footprint
 from tests.builders.layouts import FAMILIES, Layouts, Solid, penetration, wall_boxes, world_points
 
 MOST_INTO_M = 0.05
-"""Permitted overlap, metres: a worktop may cover the foot of a window, and arm rests may be under a desk."""
+"""Permitted overlap of two props, metres. A worktop may cover the foot of a window; arm rests may be under a desk."""
 NEAR_M, WALL_M = 0.03, 0.1
 DOORS = ("SM_EntryDoor", "SM_RollerGate")
 TALL_M, LARGE_M = 1.25, 0.8

@@ -20,7 +20,7 @@ from tests.builders.layouts import FAMILIES, SEEDS, Layouts, piece_boxes
 from workers.geometry.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
 
 CELL_M = 0.05
-REACH_M = 0.97 + 0.2335 + CELL_M  # success radius, and the distance of the body's centre behind base_link
+REACH_M = 0.97 + 0.2335 + CELL_M  # success radius, distance of the body's centre behind base_link, and one cell
 RULES = builtin_rules()
 
 
@@ -41,7 +41,10 @@ def floor_of(plan: FloorPlan) -> Grid:
 
 
 def connected_share(plan: FloorPlan, grid: Grid) -> float:
-    """Returns the connected share of the wide floor in the rooms; without rooms, of all wide floor of the plan."""
+    """Returns the share of the floor with at least `CONNECT_CLEARANCE_M` of clearance that is connected.
+
+    Only floor in rooms counts; in a plan without rooms, all floor counts.
+    """
     wide, connected = grid.clearance >= CONNECT_CLEARANCE_M, grid.connected_floor()
     inside = np.full(wide.shape, not plan.rooms)
     for room in plan.rooms:
@@ -80,7 +83,7 @@ def test_every_seed_has_one_connected_floor_that_reaches_each_category(
 
 
 def require_reach(plan: FloorPlan, name: str) -> None:
-    """Checks that nine tenths of the wide floor are connected and at least three objects of each category in reach."""
+    """Checks that `connected_share` is at least 0.9 and that at least three objects of each category are in reach."""
     grid = floor_of(plan)
     assert connected_share(plan, grid) >= 0.9
     reached = reached_categories(plan, grid)

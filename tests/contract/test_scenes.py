@@ -90,7 +90,7 @@ def test_straight_tiers_are_connected_too(scene: CompiledScene) -> None:
     for target in scene.info.targets:
         assert set(target.straight_tiers) <= set(target.connected_tiers)
         assert set(target.surface_straight_tiers) <= set(target.surface_connected_tiers)
-        is_family = scene.info.name not in PAPER_SCENES  # families have targets too large for success by centroid
+        is_family = scene.info.name not in PAPER_SCENES  # layouts also have targets too large for success by centroid
         assert Tier.FAR in (target.surface_connected_tiers if is_family else target.connected_tiers)
 
 

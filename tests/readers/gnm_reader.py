@@ -30,7 +30,7 @@ BACK_M = 0.01
 
 
 class PlainNumpy(pickle.Unpickler):
-    """Unpickles only `numpy.array` on lists of floats, which numpy 1.x and 2.x support."""
+    """Permits only pickles of `numpy.array` with lists of floats, which numpy 1.x and 2.x can both read."""
 
     def find_class(self, module: str, name: str) -> Any:
         assert (module, name) in {("numpy", "array"), ("_codecs", "encode")}, f"the pickle names {module}.{name}"
@@ -78,7 +78,7 @@ def check_expectations(paper: Paper, export: Path) -> str:
 
 
 def check_trajectory(poses: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
-    """Checks that arrays equal the poses and that waypoints are ahead in the frame of the robot."""
+    """Checks that the arrays equal the poses, and that each waypoint is ahead of the previous pose."""
     assert (position.dtype, yaw.dtype, position.shape, yaw.shape) == (float, float, (len(poses), 2), (len(poses),))
     np.testing.assert_array_equal(position, poses[:, :2])
     w, x, y, z = poses[:, 3:].T
@@ -90,7 +90,10 @@ def check_trajectory(poses: np.ndarray, position: np.ndarray, yaw: np.ndarray) -
 
 
 def prepare(checkout: Path, export: Path, place: Path) -> Path:
-    """Makes the loader importable with the entry of the export; returns a copy of the lists for its caches."""
+    """Copies the loader, with the configuration of the export, to an importable folder; also copies the split lists.
+
+    Returns the folder of the copied lists, in which the loader stores its caches.
+    """
     code = place / "train"
     shutil.copytree(checkout / "train/vint_train/data", code / "vint_train/data")
     (code / "vint_train/__init__.py").touch()

@@ -39,7 +39,7 @@ from habitat.tasks.nav.nav import PointGoalSensor  # noqa: E402
 from habitat.utils.geometry_utils import quaternion_from_coeff, quaternion_rotate_vector  # noqa: E402
 
 FLOOR_M = 0.1
-"""Maximum vertical distance of a start from the lowest surface below it, metres."""
+"""Maximum vertical distance of a start from the lowest point of its scene, metres."""
 
 
 def main() -> None:
@@ -123,7 +123,7 @@ def check_choice(export: Path, split: str, data: VLNDatasetV1) -> None:
 
 
 def check_scene(path: Path, episodes: list[Any]) -> str:
-    """Checks that the mesh loads with its textures, that starts are on the floor and paths within the walls."""
+    """Checks that the mesh loads with its textures, that starts are on the floor and paths are within the walls."""
     scene = trimesh.load(path, force="scene")
     meshes = list(scene.geometry.values())
     triangles = sum(len(mesh.faces) for mesh in meshes)

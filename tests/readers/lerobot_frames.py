@@ -69,7 +69,7 @@ def check_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int
 def depth_error_mm(found_mm: np.ndarray, truth_m: np.ndarray) -> float:
     """Returns the largest error; asserts that errors are at most half a quantisation step, and that 0 remains 0."""
     assert np.array_equal(found_mm == 0, truth_m < 0.001)
-    half_step_mm = 1000 * (truth_m + 3.5) * (np.log(33.5 / 3.5) / 4095) / 2 + 0.6  # 0.6: the loader rounds to mm
+    half_step_mm = 1000 * (truth_m + 3.5) * (np.log(33.5 / 3.5) / 4095) / 2 + 0.6  # 0.6: rounding by the loader
     error = np.abs(found_mm - 1000.0 * truth_m)
     assert (error <= half_step_mm).all(), f"{error.max():.1f} mm"
     return float(error.max())
@@ -79,7 +79,7 @@ def check_batches(export: Path, first_length: int) -> tuple[Any, str]:
     """Checks chunks of actions, past images, and a shuffled loader with worker processes; returns the dataset."""
     fps = json.loads((export / "meta/info.json").read_text())["fps"]
     deltas = {RGB: [-1 / fps, 0.0], "action": [n / fps for n in range(CHUNK)]}
-    # pyav: forked loader processes would share the open files of torchcodec's decoders
+    # not torchcodec, because forked loader processes would share the open files of its decoders
     data = LeRobotDataset("test/nav", root=export, delta_timestamps=deltas, video_backend="pyav")
     last = data[first_length - 1]
     assert last["action"].shape == (CHUNK, 2)

@@ -44,7 +44,7 @@ def check_episode(tables: RelabelledTables, data: LeRobotDataset, name: str, fir
         if active is not None:
             found[-1]["end"] = t + 1
     joined = []
-    for each in steps:  # the loader joins two equal consecutive texts to one span
+    for each in steps:  # `found` has one span for consecutive steps with equal texts
         if joined and joined[-1]["text"] == each["text"]:
             joined[-1] = {**joined[-1], "end": each["end"]}
         else:

@@ -58,7 +58,7 @@ def check_export(paper: Paper, export: Path, backend: str) -> str:
 
 
 def check_parts(export: Path) -> str:
-    """Checks chunks and batches, and that range and filter select the same episodes of every split."""
+    """Checks chunks and batches, and that the index range of a split and a filter by split select the same episodes."""
     lengths = LeRobotDataset("test/nav", root=export).meta.episodes["length"]
     data, result = check_batches(export, lengths[0])
     splits = json.loads((export / "meta/info.json").read_text())["splits"]

@@ -61,7 +61,7 @@ def check_sensor(item: dict[str, Any], sensor: dict[str, Any], folder: Path, num
 
 
 def check_camera(item: dict[str, Any], camera: dict[str, Any], folder: Path, file: str) -> None:
-    """Compares those of colour, depth and ids that a camera records."""
+    """Compares the images that a camera records: colour, depth and ids, or some of them."""
     key = f"observation.images.{camera['name']}"
     if "rgb" in camera["outputs"]:
         shown = np.rint(item[key].numpy().transpose(1, 2, 0) * 255.0)

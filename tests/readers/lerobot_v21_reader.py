@@ -57,7 +57,7 @@ def check_parts(export: Path) -> str:
 
 
 def check_statistics(export: Path) -> str:
-    """Compares the statistics that LeRobot aggregates from the episodes with those of the export."""
+    """Compares the statistics that LeRobot aggregates from the episodes with the statistics stored in the export."""
     added = LeRobotDataset("test/nav", root=export, video_backend="pyav").meta.stats
     values = json.loads((export / "meta/stats.json").read_text())
     assert added.keys() == values.keys()
@@ -93,7 +93,7 @@ def check_gr00t(paper: Paper, export: Path) -> str:
 
 
 def check_gr00t_statistics(export: Path, modality: dict[str, Any]) -> None:
-    """Checks that the parts of state and action can be sliced out of every statistic of their column."""
+    """Checks that each statistic of a column has a value for every element of the parts of state and action."""
     stats = json.loads((export / "meta/stats.json").read_text())
     for found in stats.values():
         assert found.keys() >= NEEDED_STATISTICS
@@ -122,7 +122,7 @@ def parts_of(kind: str, modality: dict[str, Any], table: pd.DataFrame) -> dict[s
 
 
 def check_motion(paper: Paper, name: str, parts: dict[str, dict[str, np.ndarray]], stride: int) -> None:
-    """Compares the parts with poses and commands of the paper's tree."""
+    """Compares the parts of state and action with poses and commands of the paper's tree."""
     poses, actions = paper.array(name, "poses"), paper.array(name, "actions_continuous")
     odometry, twist = parts["state"]["odometry"], parts["state"]["twist"]
     way = np.linalg.norm(poses[::stride, :2] - poses[0, :2], axis=1)

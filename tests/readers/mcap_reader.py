@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def check_schemas(path: Path) -> int:
-    """Compares the descriptors in a file with the published classes, field by field; returns how many it compared."""
+    """Compares the descriptors in a file with the published classes, field by field; returns the number of schemas."""
     with path.open("rb") as file:
         schemas = list(make_reader(file).get_summary().schemas.values())
     published = [schema for schema in schemas if schema.name.startswith(PUBLISHED)]

@@ -28,7 +28,7 @@ class RelabelledTables:
         return [{"text": row["instruction"], "start": row["start"], "end": row["end"]} for row in chosen]
 
     def questions(self, episode_id: str) -> dict[int, list[tuple[str, str]]]:
-        """Returns, for each first frame, the (role, text) pairs of the questions and answers that start there."""
+        """Returns frame -> (role, text) pairs of the questions that start at this frame, and of their answers."""
         found: dict[int, list[tuple[str, str]]] = {}
         own = (row for row in self._questions if row["episode_id"] == episode_id)
         for row in sorted(own, key=lambda row: row["number"]):

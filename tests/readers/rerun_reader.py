@@ -80,7 +80,7 @@ def rows_of(path: Path) -> dict[tuple[str, str], dict[int | None, Any]]:
 
 
 def check_mcap(paper: Paper, name: str, path: Path) -> str:
-    """Checks that every topic has every step."""
+    """Checks that no topic has fewer messages than the episode has steps."""
     rows = Counter[str]()
     for chunk in RrdReader(path).stream():
         rows[chunk.entity_path] += chunk.num_rows
@@ -91,7 +91,7 @@ def check_mcap(paper: Paper, name: str, path: Path) -> str:
 
 
 def check_lerobot(export: Path) -> str:
-    """Checks that every episode is listed with its rows."""
+    """Checks the format version, that every episode is listed, and that the actions are not fewer than the frames."""
     info = json.loads((export / "meta/info.json").read_text())
     reader = LeRobotReader(export)
     assert reader.version == info["codebase_version"].partition(".")[0]

@@ -70,7 +70,7 @@ def expected_of(export: Path) -> list[tuple[Path, Expected]]:
 
 
 def videos_of(export: Path, info: dict[str, Any], key: str) -> list[tuple[Path, int]]:
-    """Returns the video and the frames of every episode; episodes are consecutive in a video."""
+    """Returns the video and the number of frames of every episode; episodes are consecutive in a video."""
     if info["codebase_version"] == "v2.1":
         lines = [json.loads(line) for line in (export / "meta/episodes.jsonl").read_text().splitlines()]
         numbers = [(line["episode_index"], line["length"]) for line in lines]

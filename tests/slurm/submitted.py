@@ -122,7 +122,7 @@ class SubmittedRun:
         assert FALSE_ENDS.isdisjoint(ends(dataset, since))
 
     def preempt_one(self, excluded: str) -> None:
-        """Submits an urgent job that takes the whole node of a task, which Slurm preempts."""
+        """Submits an urgent job that needs the whole node of a task, so Slurm preempts the task."""
         script = self.folder / "urgent.sh"
         script.write_text("#!/bin/bash\nsleep 2\n")
         urgent: list[int] = []
@@ -222,7 +222,7 @@ class SubmittedRun:
         Args:
             event: function that stops the task.
             is_over: returns whether Slurm has reacted.
-            recover: ends the state that the event has caused.
+            recover: undoes the effect of the event on the task or its node.
             is_suitable: returns whether `event` may stop this task.
             end: ledger event that must record the loss of the job.
         """
@@ -248,7 +248,7 @@ class SubmittedRun:
         )
 
     def _ends(self, task: Task, session: str | None, since: float) -> Counter[str]:
-        """Waits until a stopped task has none of its jobs, and returns the number of its job events since a time."""
+        """Waits until a stopped task has lost its jobs; returns the number of its job events by kind since a time."""
         dataset = self.dataset_of(task.number)
         left = held(dataset, session)
         self._cluster.wait(lambda: left.isdisjoint(held(dataset, session)), f"the end of the jobs of {task}")

@@ -164,7 +164,7 @@ def _with_clutter(scene: CompiledScene, clutter: tuple[ClutterObject, ...]) -> C
 
 
 def _body(scene: CompiledScene, thing: ClutterObject, beneath: FloorTriangle, instance: int) -> dict[str, Any]:
-    """Returns the part of an object, which has the light of the floor beneath its centre."""
+    """Returns the part of a clutter object; all of its vertices have the light of the floor beneath its centre."""
     shape = shape_of(thing.kind)
     cos, sin = math.cos(math.radians(thing.yaw_deg)), math.sin(math.radians(thing.yaw_deg))
     x, y, z = np.moveaxis(shape.triangles.reshape(-1, 3) * thing.size_m, 1, 0)
@@ -176,7 +176,10 @@ def _body(scene: CompiledScene, thing: ClutterObject, beneath: FloorTriangle, in
 
 
 def _shadow(scene: CompiledScene, thing: ClutterObject, beneath: FloorTriangle) -> dict[str, Any]:
-    """Returns rings with the material of the floor that get darker towards an object; they have the id of the floor."""
+    """Returns the shadow of a clutter object: rings around its base that are darker towards its centre.
+
+    The rings have the colour, texture and instance id of the floor.
+    """
     radius = RADII[thing.kind] * thing.size_m
     turns = [2 * math.pi * k / _RING_STEPS for k in range(_RING_STEPS + 1)]
     ring = np.array([(math.cos(turn), math.sin(turn)) for turn in turns])
@@ -204,7 +207,11 @@ def _piece(
     instance: int,
     texture: int,
 ) -> dict[str, Any]:
-    """Returns the arrays of a part; texture and light coordinates are those of the floor at points `lit_at` (V, 2)."""
+    """Returns the arrays of a part whose vertices are at `placed` (V, 3).
+
+    Its texture coordinates are those of the floor below the vertices. Its light coordinates are those of the floor at
+    the points `lit_at` (V, 2).
+    """
     light_uvs = np.zeros((0, 2), np.float32)
     if len(scene.light_uvs):
         light_uvs = beneath.values_at(scene.light_uvs, lit_at).clip(0, 1).astype(np.float32)

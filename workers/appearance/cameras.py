@@ -59,7 +59,7 @@ def changed_camera(camera: Camera, change: CameraChange | None) -> Camera:
 
 
 def changed_sensor(sensor: Camera | Scan, change: CameraChange | None) -> Camera | Scan:
-    """Returns a camera as `changed_camera`, and a lidar as it is."""
+    """Returns the result of `changed_camera` for a camera, and an unchanged lidar."""
     return sensor if isinstance(sensor, Lidar2d | Lidar3d) else changed_camera(sensor, change)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # imports a submodule at its first use; many commands need none
+import scipy  # loads a submodule at its first use; many commands use no submodule
 
 from schemas.appearance import ClutterObject, ClutterRanges
 from schemas.scene import CompiledScene, Target
@@ -84,7 +84,10 @@ def place_clutter(
 
 
 def _distance_to_path(grid: Grid, poses: Floats) -> Floats:
-    """Returns (H, W) a lower bound of the distance from each cell to the centres of the footprint's discs, metres."""
+    """Returns (H, W) a lower bound of the distance from each cell to the path, metres.
+
+    The path consists of the centres of the footprint's discs at all poses.
+    """
     yaw = np.array([_yaw(*row[3:]) for row in poses])
     along = np.asarray(DISC_OFFSETS_M)
     x = poses[:, 0, None] + along * portable.cos(yaw)[:, None]

@@ -18,7 +18,7 @@ from schemas.support.numpy_types import Floats
 _SIDES = 20
 _LIGHT = np.array((0.30, -0.22, 0.93))
 RADII = MappingProxyType({"ball": 0.5, "bottle": 0.17, "box": 0.62, "books": 0.66, "cone": 0.36})
-"""Radius of the circle on the floor that contains an object, by kind, share of its largest side."""
+"""For each kind of object, radius of the circle on the floor that contains it, as a share of its largest side."""
 SHADOW_RINGS = ((0.0, 0.78, 0.55), (0.78, 0.9, 0.68), (0.9, 1.02, 0.81), (1.02, 1.14, 0.92))
 """Rings of the shadow of an object: inner and outer radius, in radii of the object, and remaining share of light."""
 

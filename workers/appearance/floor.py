@@ -34,7 +34,10 @@ class FloorTriangle(NamedTuple):
         return np.stack((1 - second - third, second, third), axis=1)
 
     def values_at(self, values: NDArray[np.float32], xy: Floats) -> Floats:
-        """Returns (N, K) values of the vertices (V, K), continued linearly to points (N, 2)."""
+        """Returns the values (N, K) at points (N, 2), given the values (V, K) of all vertices of the scene.
+
+        The values at the corners of this triangle are interpolated linearly, and extrapolated outside of it.
+        """
         own = values[self.first : self.first + 3].astype(np.float64)
         weights = self.weights(xy)
         return np.asarray((weights[:, :, None] * own[None]).sum(axis=1))
@@ -55,7 +58,7 @@ class FloorUnder:
         self._parts = owner[self._rows]
 
     def triangle_at(self, x: float, y: float) -> FloorTriangle | None:
-        """Returns the highest triangle at a point, metres, or `None` where the scene has no floor."""
+        """Returns the highest floor triangle at a point x, y, metres, or `None` where the scene has no floor."""
         a, b, c = (self._triangles[:, k, :2] for k in range(3))
         inside = np.ones(len(self._triangles), bool)
         for start, end in ((a, b), (b, c), (c, a)):

@@ -25,8 +25,8 @@ _SAMPLES = 300
 _DOWN = -0.7
 _MAIN_SHARE = 0.25
 """Smallest area of a slot that gets a new colour, as a share of the largest slot with the same texture; smaller slots
-are trims. A texture is not replaced if its largest slot covers less than a quarter of this share of all walls or
-floors.
+are trims. A texture is not replaced if its largest slot covers less than a quarter of `_MAIN_SHARE` of the area of all
+walls or all floors.
 """
 _TINTS = (0.8, 1.0)
 """Range of the factor that darkens the textures of objects."""
@@ -105,7 +105,10 @@ def draw_materials(
 def _surface_changes(
     kind: str, materials: list[Material], stream: FactorStream, scene: SceneSurfaces
 ) -> list[SurfaceChange]:
-    """Returns changes of walls or floors: surfaces with one texture get one material; small ones keep their colour."""
+    """Returns changes of walls or floors.
+
+    All surfaces with the same texture get the same material; small surfaces keep their colour.
+    """
     changes = []
     own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
     total = sum(scene.area[number] for number in own)
@@ -123,7 +126,7 @@ def _surface_changes(
 
 
 def _furniture(stream: FactorStream, scene: SceneSurfaces) -> list[SurfaceChange]:
-    """Returns changes of objects that keep the colour name of each object of a category."""
+    """Returns changes of objects after which each object with a category has the same colour name as before."""
     drawn = {slot: _repainted(slot, stream) for slot in scene.slots if slot.surface == "object"}
     before = scene.names()
     while True:
@@ -138,7 +141,7 @@ def _furniture(stream: FactorStream, scene: SceneSurfaces) -> list[SurfaceChange
 
 
 def _repainted(slot: SurfaceSlot, stream: FactorStream) -> SurfaceChange:
-    """Returns another colour of the same name, or for a texture a darker tint."""
+    """Returns a change to another colour with the same name; a slot with a texture gets a darker tint instead."""
     pick, tint = stream.share(), stream.between(_TINTS)
     if slot.layer >= 0:
         return _tinted(slot, np.full(3, tint))

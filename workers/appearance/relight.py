@@ -17,9 +17,10 @@ from schemas.scene import Sky
 from schemas.support.numpy_types import Singles
 
 LAMP_K, SKY_K = 4000.0, 6500.0
-"""Colour temperatures that keep the colours of the compiled scene, kelvin."""
+"""Neutral colour temperatures of lamps and sky, kelvin: light of these temperatures keeps its compiled colour."""
 _WHITE, _GAMMA = 3.0, 2.2
-"""Light that maps to 1, and gamma, of the light maps' tone curve (`factory.scenes.light.tone`)."""
+"""Parameters of the tone curve of light maps (`factory.scenes.light.tone`): the light that the curve maps to 1, and its
+gamma."""
 _WHITE_BALANCE = 0.5
 """Share of a change of colour, in stops, that the white balance of the camera compensates."""
 _STEPS = 8192
@@ -97,7 +98,7 @@ def _planckian(kelvin: float) -> Rgb:
 
 
 def _mean(light: Singles) -> float:
-    """Returns the mean light; sums integer steps of 1 / 4096, so it does not depend on the order."""
+    """Returns the mean light; it sums integer steps of 1 / 4096, so the order of the summands has no effect."""
     steps = (np.minimum(light, np.float32(_WHITE)) * np.float32(_MEAN_STEP)).astype(np.int64)
     return int(steps.sum()) / steps.size / _MEAN_STEP
 

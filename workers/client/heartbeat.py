@@ -109,7 +109,8 @@ class Heartbeat:
             self.is_answered = False
             log.warning("coordinator_unreachable", endpoints=host.link.endpoints)
         if host.link.silence_s > _REOPEN_S and not host.phase.stopping.is_set():
-            host.link.open()  # a new session recovers from a half-open connection or a router that accepts none
+            # a new session helps if the connection is half-open, or if the router accepts no connections
+            host.link.open()
             if host.link.is_run_finished:
                 host.phase.finish()
                 return

@@ -180,7 +180,7 @@ def valid_host_name(name: str) -> str:
 
 
 def make_sid(host: str) -> str:
-    """Returns a new unique session id: the host's name, which has no dot, a dot and random digits."""
+    """Returns a new unique session id: the host's name, a dot and random hexadecimal digits; the name has no dot."""
     return f"{host}.{secrets.token_hex(4)}"
 
 

@@ -106,7 +106,7 @@ class Link(Closing):
             self.last_error, self.is_run_finished = str(error), isinstance(error, RunFinished)
             return False
         except zenoh.ZError as error:
-            short = str(error).split(" at /")[0]  # without zenoh's source paths
+            short = str(error).split(" at /")[0]  # without the paths of zenoh's source files
             self.last_error = why_unreachable(endpoints, self._tls) or short
             log.debug("connect_failed", endpoints=endpoints, error=str(error), cause=self.last_error)
             return False
@@ -189,7 +189,7 @@ class Link(Closing):
             queryable = session.declare_queryable(key, lambda query: _answer(query, key, read, self._unreadable))
             token = session.liveliness().declare_token(alive_key(run, sid))
         except zenoh.ZError:
-            if not session.is_closed():  # a session that another thread closed meanwhile serves nothing
+            if not session.is_closed():  # no error if another thread closed the session meanwhile
                 raise
             return
         self._declared = [queryable, token]
@@ -245,15 +245,15 @@ def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
         "mode": '"client"',
         "listen/endpoints": "[]",
         "connect/endpoints": json.dumps(list(endpoints)),
-        # the attempt is limited, because a signal cannot interrupt it; the caller retries
+        # an attempt to connect has a short timeout, because a signal cannot interrupt it; the caller retries
         "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
         "connect/exit_on_failure": "true",
-        # closing waits for a reconnect in progress, to which a frozen router does not reply; the default is 10 s
+        # closing the session waits for a reconnect in progress, and a frozen router never replies; the default is 10 s
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",
-        "transport/shared_memory/enabled": "false",  # loses queries under load
+        "transport/shared_memory/enabled": "false",  # shared memory loses queries under load
         "transport/link/tx/lease": str(_LEASE_MS),
         "transport/link/rx/max_message_size": str(_MAX_PACKET_BYTES),
         "queries_default_timeout": "5000",

@@ -24,7 +24,7 @@ from schemas.scene.info import texture_file
 from workers.client.host_lock import exclusive_lock
 
 Fetch = Callable[[str, Chunk], bytes]
-"""Function that returns a part of the file with a SHA-256; may raise to give up."""
+"""Function that returns a chunk of the file with the given SHA-256; may raise to give up."""
 Wait = Callable[[], None]
 
 _SUFFIX, _LOCK, _PART = ".scene", ".lock", ".part"
@@ -136,7 +136,8 @@ class SceneCache:
         return False
 
     def _download(self, path: Path, sha256: str, size: int, fetch: Fetch) -> None:
-        for stale in path.parent.glob(f"{sha256}.*{_PART}"):  # left by a killed worker, since this one has the lock
+        # this worker has the lock of the file, so a worker that was killed has left these partial files
+        for stale in path.parent.glob(f"{sha256}.*{_PART}"):
             stale.unlink(missing_ok=True)
         part = path.with_name(f"{sha256}.{secrets.token_hex(4)}{_PART}")
         digest = hashlib.sha256()
@@ -163,7 +164,7 @@ class SceneCache:
             part.unlink(missing_ok=True)
 
     def _evict(self, keep: Collection[Path]) -> None:
-        """Deletes the least recently used files until the folder is within its size; never those in `keep`."""
+        """Deletes the least recently used files, except those in `keep`, until the folder is small enough."""
         files = sorted(self._files())
         total = sum(file.size for file in files)
         for file in files:
@@ -193,7 +194,7 @@ def _mark_used(places: Collection[Path]) -> bool:
 
 
 def _delete_unused(file: _CachedFile) -> bool:
-    """Deletes a file unless it is in use or was used since; returns `False` if it still exists."""
+    """Deletes a file unless it is in use or was used after it was listed; returns `False` if it still exists."""
 
     def give_up() -> None:
         raise _Busy

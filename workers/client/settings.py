@@ -34,13 +34,14 @@ class WorkerSettings:
     connect: tuple[str, ...]
     """Endpoints of coordinators or gateways of one run, e.g. `tcp/10.0.0.1:7447`; one of them is enough."""
     cores: int = 1
-    """Number of simulations at a time."""
+    """Number of simulations that run at the same time."""
     renderer: RendererKind = "auto"
     """Renderer of the simulations."""
     run: str | None = None
     """Name of the run to work for; `None` selects the run that answers."""
     host: str | None = None
-    """Name of this machine for the coordinator; `None` selects the system's name. With TLS, the certificate's name."""
+    """Name by which the coordinator identifies this machine; `None` selects the system's name. With TLS, it must be the
+    common name of the certificate."""
     tls: TlsFiles | None = None
     """TLS files of this machine, or `None` for plain TCP."""
     spool_dir: Path = field(default_factory=lambda: _cache("spool"))

@@ -27,12 +27,13 @@ from workers.process.simulation import ProcessEnd, Simulation
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
 _BUILD_S = 900.0
-"""Longest time of a build without a report, seconds; a build takes 2 to 9 s of CPU time
-(docs/performance.md#layouts) and reports only its end."""
+"""Time without a report after which a build is killed as hung, seconds. A build reports only its end and takes 2 to 9 s
+of CPU time (docs/performance.md#layouts)."""
 _STARTS = 3
 _LAST_TRIES = 2
 _SIGNALLED_S = 1.0
-"""Longest time between the signals of a batch system to a simulation and to its worker, seconds."""
+"""Time for which a slot whose simulation was killed waits for a stop signal to the worker, seconds. If the signal
+arrives, a batch system has ended both: the job is returned, and no crash is reported."""
 _FALLBACK = "TinyRenderer"
 _FALLBACK_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
@@ -188,7 +189,7 @@ class Slot:
         return self._receive_result(self._simulation, lease)
 
     def _build(self, order: BuildOrder, lease: Lease) -> SimulationReport:
-        """Builds a layout in a separate process, which keeps textures for the next one."""
+        """Builds a layout in a separate process, which keeps textures for the next build."""
         if not self._builder.is_running:
             self._builder.start()
         self._builder.order(BuildTask(order=order, bundle_path=self._host.spool.path_for(lease)))
@@ -210,7 +211,10 @@ class Slot:
                 host.leases.note_step(lease, step)
 
     def _fetching(self, lease: Lease) -> tuple[Fetch, Wait]:
-        """Returns a function that fetches a part of a file, and one that waits for another fetch."""
+        """Returns the functions `fetch` and `wait` for the scene cache.
+
+        Both raise an exception if the worker stops or the lease is lost.
+        """
         host = self._host
 
         def wait() -> None:

@@ -26,7 +26,7 @@ from schemas.support.log_limit import Repeated
 
 _MAX_SIBLINGS = 256
 _FOLDER_MODE, _FILE_MODE = 0o700, 0o600
-"""Permissions of the owner only, because a sidecar contains the token of a lease."""
+"""Permissions that give access to the owner only, because a sidecar contains the token of a lease."""
 _LOCK, _PART, _BUNDLE, _SIDECAR = "lock", ".part", ".zip", ".json"
 
 log = structlog.get_logger(__name__)
@@ -111,7 +111,7 @@ class Spool(Closing):
         """Returns the path at which the caller writes the bundle of a lease before it calls `add`."""
         with self._guard:
             previous = self._entries.get(_key(lease))
-        # the bundle is from an earlier ledger of a run with the same name
+        # a bundle with the same key and another lease is from an earlier ledger of a run with the same name
         if previous is not None and previous.lease != lease:
             self.drop(previous.lease)
         return self._file(lease, _BUNDLE)

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from types import FrameType
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
-"""Slurm sends SIGUSR1 some time before the limit of a job if the job requests it."""
+"""Signals that request a stop. SIGUSR1 is one of them because Slurm sends it some time before the time limit of a job,
+if the job requests this."""
 
 
 @contextmanager
@@ -53,7 +54,7 @@ def signals_deferred() -> Iterator[None]:
 
 
 def stop_at_eof(descriptor: int, stop: threading.Event) -> None:
-    """Sets `stop` when the other end of the pipe `descriptor` is closed, also by the death of its process."""
+    """Sets `stop` when the process at the other end of the pipe `descriptor` closes it or dies."""
 
     def watch() -> None:
         while os.read(descriptor, 4096):

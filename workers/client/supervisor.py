@@ -27,8 +27,8 @@ _POLL_S = 0.2
 _DRAIN_S = 3.5
 _JOIN_S = 2.0
 _FINISH_TIMEOUT_S = 5.0
-"""Time for asking the coordinator of a finished run about spooled bundles, seconds. The coordinator may
-have ended."""
+"""Time after the end of a run for which a worker still asks the coordinator about its spooled bundles, seconds. The
+time is limited, because the coordinator may have exited."""
 
 log = structlog.get_logger(__name__)
 
@@ -195,7 +195,7 @@ def _find_run(
 def _choose(
     replies: tuple[HelloReply | Refusal, ...], settings: WorkerSettings, settled: str | None
 ) -> HelloReply | None:
-    """Returns the reply of the run to work for; evaluations have priority, in the order of their names."""
+    """Returns the reply of the run to work for: the first evaluation by name or, without evaluations, the run."""
     greetings = (reply for reply in replies if isinstance(reply, HelloReply) and reply.run != settled)
     terms = sorted((reply for reply in greetings if settings.run in {None, reply.run}), key=lambda reply: reply.run)
     short = [reply for reply in terms if reply.run_kind is RunKind.EVALUATION]

@@ -59,7 +59,8 @@ class LazyFrame:
         window, renderer = foreground_window(task), self._partial
         if renderer is not None:
             near = renderer.count_within(self._pose, window, task.near_obstacle_depth_m)
-            if near == 0 or are_near(near, window.pixels):  # the window has at most `window.pixels` valid pixels
+            # an obstacle that is near if all pixels of the window are valid is also near with fewer valid pixels
+            if near == 0 or are_near(near, window.pixels):
                 return near > 0
         return is_obstacle_near(self.depth_and_ids.cut(window).depth, task)
 
@@ -84,7 +85,7 @@ class Observation:
     bearing_rad: float
     """Angle from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi], radians."""
     is_touching: bool
-    """Whether the robot has a contact other than the floor."""
+    """Whether the robot touches anything other than the floor."""
     end: EndReason | None = None
     """Reason for the end of the episode, or `None` before it."""
 

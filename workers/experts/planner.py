@@ -20,12 +20,12 @@ from workers.planning import Waypoint, plan_path
 from workers.planning.follow import Follower
 
 _LAST_MARGIN_M = 0.01
-"""Distance inside the edge of the success region at which the robot may stop at the end of a path, metres."""
+"""At the end of its path, the robot stops if it is at least this far inside the edge of the success region, metres."""
 STOPPED_M = 0.055
 """Measured distance inside the edge of the success region at which the robot comes to rest after braking, metres."""
 _AHEAD_RAD = 0.6
-"""Largest bearing of the target's centroid at which the robot stops before the end of its path, if the target must be
-in view, radians; the edge of the image is at 0.79."""
+"""If the target must be in view, the robot stops before the end of its path only while the bearing of the target's
+centroid is at most this angle, radians. The edge of the image is at 0.79."""
 
 
 def arrival_pose(path: tuple[Waypoint, ...], goal: Goal, stop_m: float) -> Waypoint:

@@ -21,7 +21,8 @@ Matrix = NDArray[np.float64]
 
 
 _OPTICAL_AXES, _OPTICAL_SIGNS = [1, 2, 0], np.array((-1.0, -1.0, 1.0))
-"""Right, down and forward, as columns of a rotation of base_link, whose axes are forward, left and up."""
+"""Columns of a rotation of base_link (forward, left, up), and the signs that turn them into the optical axes right,
+down and forward."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ def optical_pose(pose: Pose, camera: CameraConfig) -> OpticalPose:
 
 
 def mounted_pose(pose: Pose, mount: Mount) -> OpticalPose:
-    """Returns the pose of a sensor's optical frame for a pose of base_link; the optical axis is x of its frame."""
+    """Returns the pose of a sensor's optical frame for a pose of base_link; its optical axis is the sensor's x axis."""
     base = _rotation(pose)
     eye = product(base, np.array(((mount.x_m,), (mount.y_m,), (mount.z_m,))))[:, 0] + (pose.x, pose.y, pose.z)
     axes = product(base, mount_rotation(mount)) if _is_turned(mount) else base

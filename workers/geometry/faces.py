@@ -129,7 +129,7 @@ def _sides(rays: Floats) -> NDArray[np.int8]:
         reach = np.abs(rays[..., :2]).max(axis=-1) / rays[..., 2]
     if (rays[seen][:, 2] > 0).all() and reach[seen].max(initial=0.0) <= _ONE_FACE_REACH:
         return np.where(seen, 0, -1).astype(np.int8)
-    height = np.nan_to_num(rays) @ _AXES[:, :, 2].T  # (H, W, 6) along the axis of each side
+    height = np.nan_to_num(rays) @ _AXES[:, :, 2].T  # (H, W, 6) component along the axis of each side
     return np.where(seen, height.argmax(axis=-1), -1).astype(np.int8)
 
 
@@ -174,7 +174,7 @@ def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Float
         )
     tops = np.concatenate(([0], np.cumsum([size[1] for size in sizes])))
     faces, places = [], np.zeros_like(plane)
-    # at a cube's corner, the depth is the distance divided by 1.73
+    # halved for a cube, because towards its corners the depth, by which faces clip, is the distance divided by 1.73
     near = camera.near_m if len(used) == 1 else camera.near_m / 2
     for side, low, size, top in zip(used, lows, sizes, tops.tolist(), strict=False):
         columns, rows = map(int, size)

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-import scipy  # imports a submodule at its first use; many commands need none
+import scipy  # loads a submodule at its first use; many commands use no submodule
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.scene import CompiledScene, Target
@@ -20,7 +20,7 @@ from schemas.support.numpy_types import Bools, Floats
 DISC_OFFSETS_M = (-0.46, -0.2335, -0.01)
 """Centres of the three discs that cover the footprint, x in base_link (docs/design/robot.md#footprint-on-the-grid)."""
 DISC_RADIUS_M = 0.29
-"""Radius of those discs, metres."""
+"""Radius of the discs that cover the footprint, metres."""
 BODY_CENTRE_M = -0.2335
 """Centre of the footprint, x in base_link, metres."""
 HALF_WIDTH_M = 0.25
@@ -28,7 +28,7 @@ HALF_WIDTH_M = 0.25
 FRONT_M = 0.14
 """Foremost point of the footprint, x in base_link, metres."""
 CONNECT_CLEARANCE_M = 0.36
-"""Clearance of the body centre with which the robot can pass, metres: half its width and a margin."""
+"""Clearance that the body centre needs for the robot to pass, metres: half the robot's width plus a margin."""
 FREE, OCCUPIED, HIDING = 0, 1, 2
 """Values of `CompiledScene.occupancy`; `HIDING` is occupied and blocks the line of sight."""
 
@@ -96,7 +96,8 @@ class Grid:
 
     def _least_clearance(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
         x, y, yaw = (np.asarray(values, float) for values in (x, y, yaw))
-        cos, sin = portable.cos(yaw), portable.sin(yaw)  # before broadcasting, because often many poses share a heading
+        # computed before the headings are broadcast, because many poses often share one heading
+        cos, sin = portable.cos(yaw), portable.sin(yaw)
         discs = [self.clearance_at(stacked(x + along * cos, y + along * sin)) for along in DISC_OFFSETS_M]
         return np.asarray(np.minimum(np.minimum(discs[0], discs[1]), discs[2]))
 

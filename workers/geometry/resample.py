@@ -28,7 +28,8 @@ def resample_colour(atlas: NDArray[np.uint8], sampling: Sampling) -> NDArray[np.
     for start in range(0, count, _CHUNK):
         part = slice(start, start + _CHUNK)
         first = sampling.first[part]
-        even, odd = np.full(len(first), _HALF), np.full(len(first), _HALF)  # each holds two channels of 16 bits
+        # every number of `even` and of `odd` contains two channels, 16 bits each
+        even, odd = np.full(len(first), _HALF), np.full(len(first), _HALF)
         for offset, weights in zip(offsets, sampling.weights[:, part], strict=True):
             pixels = packed.take(first + offset)
             even += (pixels & _EVEN) * weights

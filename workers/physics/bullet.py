@@ -182,7 +182,7 @@ class BulletClient(Closing):
         )
 
     def set_collision_group(self, body: int, link: int, group: int, meets: int) -> None:
-        """Assigns a link to a collision group; two links collide if the `meets` of each has the other's group."""
+        """Assigns a link to a collision group; two links collide if each `meets` contains the other's group."""
         _p.setCollisionFilterGroupMask(body, link, group, meets, physicsClientId=self._id)
 
     def drive_joints(self, body: int, joints: Sequence[int], speeds_rps: Sequence[float], torque_nm: float) -> None:

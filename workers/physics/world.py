@@ -24,16 +24,16 @@ from workers.physics.robot import BASE_LINK, CASTERS, LEFT_WHEEL, RIGHT_WHEEL, r
 CONTACT_DISTANCE_M = 0.001
 """Largest distance between surfaces that counts as a contact, metres."""
 LEVEL_TILT_RAD = 1e-4
-"""Tilt below which the pose of base_link is reported as level, radians; it moves the image by a thirtieth of a pixel.
-The contact solver causes a tilt noise of about 1e-6 rad while the robot drives at constant speed. In the image of a
-level camera, each row of a floor and each column of a wall has one depth, which that noise would change. The tilt
-during braking is 1e-2 rad and is kept."""
+"""Tilt below which the pose of base_link is reported as level, radians. This tilt moves the image by a thirtieth of a
+pixel. The contact solver causes a tilt noise of about 1e-6 rad while the robot drives at constant speed. In the image
+of a level camera, each row of a floor and each column of a wall has one depth, which that noise would change. The
+tilt during braking is 1e-2 rad and is kept."""
 
 _FLOOR, _OBSTACLE, _ROLLER, _BODY = 1, 2, 4, 8
 """Collision groups: wheels and casters collide with the floor only, the body with floor and obstacles."""
 _SETTLE_STEPS = 60
 _MOST_USES = 200
-"""Number of worlds after which a physics client is closed, because it keeps the shapes of removed robots."""
+"""Number of worlds after which a physics client is closed, because the client keeps the shapes of removed robots."""
 _EXACT_SUBSTEPS = (1, 2, 4, 8, 16)
 """Numbers of substeps after which the clock of a physics client is exactly 0 again; with others, a rounding error
 remains and affects the next world."""
@@ -222,7 +222,7 @@ def _take_bodies(robot: RobotConfig, control_hz: int, collider: ColliderMesh, fl
 
 
 def _keep_bodies(bodies: _Bodies, collider: ColliderMesh) -> None:
-    """Keeps bodies for the next world, or frees them if other bodies are kept or these cannot be used again."""
+    """Keeps bodies for the next world; frees them if other bodies are already kept, or if they cannot be used again."""
     robot, _, _ = bodies.key
     if collider.idle or bodies.uses >= _MOST_USES or robot.physics_substeps not in _EXACT_SUBSTEPS:
         bodies.client.close()

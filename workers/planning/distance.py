@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-import scipy  # imports a submodule at its first use; many commands need none
+import scipy  # loads a submodule at its first use; many commands use no submodule
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.config import TaskConfig
@@ -22,10 +22,12 @@ from workers.geometry.grid import HALF_WIDTH_M, Grid
 from workers.planning.kept import kept_with_grid
 
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
-"""Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
+"""Row and column steps to 8 of the 16 neighbours of a cell; the steps to the other 8 are opposite. A path of such steps
+is at most 2.8 % longer than the straight line."""
 
 _NEAR_M = 6.0
-"""Longest path that is searched first for a start within half this distance of the goal, metres."""
+"""Limit of the first search, metres. From a start within half this distance of the goal, only paths up to this length
+are searched first."""
 
 Number = TypeVar("Number", np.int32, np.float64)
 
@@ -112,7 +114,7 @@ def _both_ways(ahead: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
 
 
 def _shifted(field: NDArray[Number], row: int, column: int) -> tuple[NDArray[Number], NDArray[Number]]:
-    """Returns the field and the shifted field, cropped to their common cells."""
+    """Returns the field and the field shifted by a number of rows and columns, both cropped to their common cells."""
     height, width = field.shape
     here = field[: height - row, max(0, -column) : width - max(0, column)]
     there = field[row:, max(0, column) : width - max(0, -column)]
@@ -192,7 +194,7 @@ def is_way_straight(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskC
 
 
 def _cell_path(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
-    """Returns the points (N, 2) of the path of cells; the first point is the start."""
+    """Returns the centres (N, 2) of the cells on the path from a start; the first point is the start itself."""
     start = np.asarray(start_xy, float)
     row, column = grid.cell_of(start)
     width = field.nearer.shape[1]

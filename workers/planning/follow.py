@@ -31,9 +31,9 @@ _LEG_BRAKING_MPS2, _TURN_BRAKING_RPS2 = 0.8, 1.8
 _PREVIEW_M = 0.6
 """Length of the path ahead whose curvature limits the speed, metres."""
 _REACH_M = 0.5
-"""Largest distance along the leg from one nearest point to the next, metres."""
+"""Largest distance along the leg by which the nearest point advances in one step, metres."""
 _STEPS = np.arange(26.0)
-"""Numbers of the points that are compared to find the nearest one."""
+"""Numbers of the evenly spaced points of a leg among which `Leg.nearest` finds the nearest one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,11 @@ class Follower:
         return self._turn(error) if abs(error) > _LOST_RAD else self._pursue(leg, error, distance, speed_limit_mps)
 
     def _left_to_turn(self, leg: Leg, pose: Pose) -> float:
-        """Returns the angle to the leg's first heading, radians; a larger turn could move the tail into an obstacle."""
+        """Returns the angle from the robot's heading to the leg's first heading, radians.
+
+        If the shorter direction is opposite to the planned turn and exceeds a right angle, the result is the angle in
+        the planned direction: in the other direction, the tail could hit an obstacle.
+        """
         error = math.remainder(float(leg.yaw[0]) - pose.yaw, 2 * math.pi)
         if error * leg.turn_rad < 0 and abs(error) > math.pi / 2:
             error += math.copysign(2 * math.pi, leg.turn_rad)  # the shorter direction may be blocked

@@ -21,7 +21,7 @@ HEADINGS = 36
 STEP_M = 0.2
 """Length of an arc, metres."""
 _BENDS = (0, 1, -1, 2, -2)
-"""Change of heading along an arc, in steps of the grid of headings: straight, radius 1.15 m, radius 0.57 m."""
+"""Changes of heading along an arc, in differences of heading numbers: straight, radius 1.15 m, radius 0.57 m."""
 _DECIMALS = 12
 """Decimals of the tables; rounding makes the choice between two paths independent of the last bit of a sine."""
 

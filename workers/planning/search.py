@@ -26,18 +26,20 @@ from workers.planning.lattice import HEADINGS, MOVES, PoseTable, Waypoint, headi
 _CELL_M = 0.1
 """Side of the cells in which two poses with one heading count as one state, metres."""
 _TURN_COST_M, _SPOT_TURN_COST_M = 0.02, 0.06
-"""Cost of a turn by one heading, on an arc and on the spot, where the robot must stop; metres of path."""
+"""Cost of a turn by one heading, metres of path: along an arc, and on the spot. The latter is higher, because the robot
+must stop."""
 _AHEAD_RAD = 0.44
 """Largest angle between the heading at the end of a path and the target's centroid, if it must be ahead, radians."""
 _MOVING_M = 0.15
 """Distance from the success region, metres, within which a path has no turn on the spot if it must end with the target
 ahead."""
 _NEAR_M, _LIMIT_MARGIN_M = 6.0, 0.5
-"""Limit of the first distance field, which is used for starts within half of it; and the margin by which the estimated
-cost of a path must be below the limit of its field, metres. The margin is larger than the distance of two cells that
-share a state of the search."""
+"""Limit of the first distance field, metres; only starts within half this distance of the target use this field. The
+second value is the margin by which the estimated cost of a path must be below the limit of the field, metres; it is
+larger than the distance between two cells that share a state of the search."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
-"""Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
+"""Clearance at and above which a path has no extra cost, metres. The second value is the largest extra cost, as a
+fraction of the length of the path; it applies where the clearance is `DISC_RADIUS_M` or less."""
 
 
 def plan_path(
@@ -54,8 +56,8 @@ def plan_path(
         target: target to reach.
         task: success measure and radius; the path ends inside the region by the arrival margin.
         config: margins and limits.
-        facing: whether the path ends with the target ahead, and has no turn on the spot inside or near the region: a
-            robot that does not move inside it ends the episode.
+        facing: whether the path ends with the target ahead, and has no turn on the spot inside or near the region,
+            because the episode ends when the robot stands still inside the region.
 
     Returns:
         The path, or `None` if none exists or the search reached its limit.
@@ -131,9 +133,9 @@ def _search(
     max_expansions: int,
     limits_m: Iterable[float],
 ) -> tuple[Waypoint, ...] | None:
-    """Searches with each limit of the distances to the ends in turn, and returns the first path that is found.
+    """Searches once with each limit of the distance field, in turn, and returns the first path that is found.
 
-    The result equals that of a search with all distances, because poses beyond a limit are expanded after all others.
+    The result equals that of a search without a limit, because poses beyond a limit are expanded after all others.
     """
     graph = _floor_graph(grid, margin_m)
     for limit_m in limits_m:
@@ -146,7 +148,8 @@ def _search(
 
 
 _STRIDE = 1 << 16
-"""Larger than the number of cells of side `_CELL_M` in a column of any grid."""
+"""Factor of the column number in the number of a state; larger than the number of cells of side `_CELL_M` in a column
+of any grid."""
 _ARCS = tuple(tuple((*move[:6], move.turn * _TURN_COST_M) for move in moves if move.length_m) for moves in MOVES)
 """Arcs from each heading: displacements, heading, length, and cost of the turn, metres of path."""
 _SPOT_TURNS = tuple(tuple(move.heading for move in moves if not move.length_m) for moves in MOVES)

@@ -18,7 +18,7 @@ process that prepares many scenes in turn then takes two thirds of the memory.""
 
 
 def one_core(environment: Mapping[str, str], many_scenes: bool = False) -> dict[str, str]:
-    """Returns the environment with these settings; other tunables of glibc stay.
+    """Returns the environment of a process that renders on one core; other tunables of glibc are kept.
 
     Args:
         environment: environment to extend.

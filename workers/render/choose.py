@@ -76,7 +76,7 @@ def open_first(
     try:
         return preferred(size, timer)
     except WorldError as error:
-        import structlog  # its import would slow down the start of each simulation
+        import structlog  # not at the top, where it would slow down the start of each simulation
 
         log = structlog.get_logger(__name__)
         log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)

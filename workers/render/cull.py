@@ -21,9 +21,9 @@ from workers.render import Window
 _MARGIN_PX = 2
 """Margin of a window around projected corners, pixels; OpenGL rounds corners to fractions of a pixel."""
 _IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
-"""(8, 3) whether a corner of a box has its upper x, y and z."""
+"""(8, 3) for each corner of a box, whether its x, y and z are the upper limits of the box."""
 _DEPTH_MARGIN_M = 1e-3
-"""Margin of depths, metres; a depth image is rounded to float32."""
+"""Margin that is added to a largest depth, metres, because a depth image is rounded to float32."""
 
 Edges = tuple[float, float, float, float]
 """Left, top, right and bottom edge of a part of the view, as x / depth and y / depth in the optical frame."""
@@ -69,7 +69,9 @@ def _spans(scene: CompiledScene, parts: NDArray[np.intp]) -> tuple[list[int], li
 
 
 def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns a matrix (N, 7). Its product with `PartBounds.facts` is the height of each highest corner above planes.
+    """Returns a matrix (N, 7) for N planes.
+
+    Its product with `PartBounds.facts` contains the height of the highest corner of each box above each plane.
 
     Args:
         normals: (N, 3) normals n of the planes n x + offset = 0, of any length.

@@ -141,7 +141,7 @@ class GpuScene:
         return window_of_corners(self._bounds.corners(own), clip, camera.near_m, size)
 
     def parts_before(self, drawn: DrawOrder, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:
-        """Returns the drawn parts that may be visible between these edges up to a depth in metres, in their order."""
+        """Returns the drawn parts that may be visible between these edges up to a depth in metres, in drawing order."""
         return drawn.parts[may_reach(self._bounds.facts[:, drawn.parts], optical, edges, depth_m)]
 
     def parts_within(self, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:

@@ -25,7 +25,8 @@ _ONTO_TARGET = np.array((1.0 / _GUARD, -1.0 / _GUARD, 1.0, 1.0))[:, None]
 has the bottom row."""
 _ALL_TARGETS: Any = ((True,) * 4,) * 2
 _DEPTH_ONLY: Any = ((False,) * 4,) * 2
-"""Write masks of colour and ids; the type stubs of moderngl accept the mask of one target only."""
+"""Write masks of colour and ids with which only depth is written. The type is `Any`, because the type stubs of moderngl
+accept one mask only, not one for each image."""
 _TEXTURE_2D, _LOWER_LEFT, _ZERO_TO_ONE = 0x0DE1, 0x8CA1, 0x935F
 _DEPTH_COMPONENT32F, _DEPTH_COMPONENT, _FLOAT = 0x8CAC, 0x1902, 0x1406
 
@@ -120,7 +121,10 @@ class GlTarget:
 
 
 def _guarded(top: int, width: int, height: int) -> tuple[int, int, int, int]:
-    """Returns the viewport with an image of that size, at the left edge of the target, in its centre; see `_GUARD`."""
+    """Returns the viewport of an image of this size, whose first row in the target is `top` and first column is 0.
+
+    The image is in the centre of the viewport, which is larger than the target; see `_GUARD`.
+    """
     beside = _GUARD // 2
     return -width * beside, top - height * beside, width * _GUARD, height * _GUARD
 

@@ -20,8 +20,8 @@ from workers.render.cull import PartBounds, reach_of_planes
 F64 = NDArray[np.float64]
 
 _LEAST_AREA_M2 = 0.5
-"""Smallest area of an occluder, square metres; smaller ones hide too few parts. The boxes in a rack are larger and hide
-the boxes of the next rack."""
+"""Smallest area of an occluder, square metres; smaller rectangles hide too few parts. The boxes in a rack have larger
+sides, so they are occluders and hide the boxes of the next rack."""
 _MOST_ASKED = 16
 """Largest number of occluders tested per frame; those with the largest image area are selected."""
 _SAME_M = 1e-4
@@ -72,11 +72,11 @@ class Occluders:
         areas = np.linalg.norm(across, axis=1)
         large = areas >= _LEAST_AREA_M2
         found = cls(corners[large], across[large] / areas[large, None], areas[large])
-        useful = found._have_parts_behind(PartBounds.of(scene))  # excludes the outer walls
+        useful = found._have_parts_behind(PartBounds.of(scene))  # excludes outer walls, which hide nothing
         return cls(found.corners[useful], found.normals[useful], found.areas[useful])
 
     def _have_parts_behind(self, bounds: PartBounds) -> NDArray[np.bool_]:
-        parts = np.isfinite(bounds.half).all(axis=1)  # parts without vertices have infinite extents
+        parts = np.isfinite(bounds.half).all(axis=1)  # excludes parts without vertices, which have infinite extents
         highest = self.normals @ bounds.centre[parts].T + np.abs(self.normals) @ bounds.half[parts].T
         return np.asarray(highest.min(axis=1, initial=np.inf) < self._heights - _MARGIN_M)
 
@@ -115,7 +115,7 @@ class Occluders:
         return planes.transpose(1, 0, 2).reshape(-1, 3), offsets.T.ravel()
 
     def _choose(self, optical: OpticalPose, view: Perspective) -> NDArray[np.intp]:
-        """Returns the rectangles with the largest image that face the eye and are in front of the near plane."""
+        """Returns those rectangles facing the eye, beyond the near plane, that have the largest area in the image."""
         height = self.normals @ optical.eye - self._heights
         away = self._centres - optical.eye
         square = np.einsum("sk,sk->s", away, away)
@@ -134,7 +134,9 @@ def _are_large(triangles: F64) -> NDArray[np.bool_]:
 
 
 def _rectangles(first: NDArray[np.float64], second: NDArray[np.float64]) -> F64:
-    """Returns (R, 4, 3) corners of the large pairs of triangles that form a rectangle, with the winding of the first.
+    """Returns (R, 4, 3) corners of the large rectangles that are formed by a first and a second triangle.
+
+    The corners are in the winding order of the first triangle. Parallelograms count as rectangles.
 
     Args:
         first: (N, 3, 3) corners of the first triangles.

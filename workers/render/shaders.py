@@ -37,7 +37,7 @@ class ShaderPair(NamedTuple):
     """Names of the fields."""
 
     def blended(self) -> ShaderPair:
-        """Returns the pair for triangles with a colour per corner; interpolation takes 2 % of the time of a frame."""
+        """Returns the pair for triangles with a colour per corner; interpolating it takes 2 % of a frame's time."""
         return self._replace(
             vertex=self.vertex.replace("flat out vec3", "out vec3"),
             fragment=self.fragment.replace("flat in vec3", "in vec3"),

@@ -17,7 +17,7 @@ from schemas.support.numpy_types import Floats, Ints
 from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
 
 _CODES = 256
-"""Number of values of a colour channel. Its noise is drawn from as many equally probable values."""
+"""Number of values of a colour channel."""
 _KEPT_TABLES = 64
 
 

@@ -17,14 +17,16 @@ from schemas.support.numpy_types import Bools, Ints, Singles
 from workers.sensors.streams import LEVELS, Effect, NoiseKey, normal_of
 
 _EDGE_PX = 1.0
-"""Second difference of the disparity over half a matching window above which the window contains an edge, pixels."""
+"""Threshold of the second difference of the disparity over half a matching window, pixels. Above it, the window
+contains an edge."""
 _BAND = 64
-"""Rows that are computed at once, a multiple of 4, so intermediate values stay in the cache of the processor."""
+"""Number of rows that are computed at once, so intermediate values stay in the cache of the processor. It is a multiple
+of 4, because `NoiseKey.stream` requires this of the size of each part."""
 _LEAST_PX = np.float32(1e-6)
 """Positive disparity that replaces disparities of 0 and less, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
-"""Side of the square blocks that holes consist of, pixels; and distance between the random values from which the field
-of holes is interpolated, blocks."""
+"""Side of the square blocks that holes consist of, pixels. The second value is the distance, in blocks, between the
+random values from which the values of all blocks are interpolated."""
 
 
 def noisy_depth(
@@ -41,7 +43,7 @@ def noisy_depth(
     """
     scale = np.float32(focal_px * noise.baseline_m)
     seen = shifted(depth, noise.shift_std_px, key, step)
-    exact = np.empty_like(depth) if seen is depth else seen  # reuses the array, as new memory takes time
+    exact = np.empty_like(depth) if seen is depth else seen  # reuses `seen`, because new memory takes time
     lost = np.empty(seen.shape, np.bool_)
     for rows in _bands(len(seen)):
         np.divide(scale, np.where(seen[rows] > 0, seen[rows], np.float32(np.inf)), out=exact[rows])
@@ -113,7 +115,8 @@ def shifted(depth: Singles, std_px: float, key: NoiseKey, step: int) -> Singles:
 
 @functools.lru_cache(maxsize=16)
 def _displacements(std_px: float, width: int) -> tuple[Ints, int]:
-    """Returns 256 equally probable displacements, as differences of pixel numbers, and the largest one in pixels."""
+    """Returns 256 equally probable displacements, as differences of flat pixel indices, and the largest displacement
+    along a row or column, pixels."""
     middles = np.arange(1 << 11, LEVELS, 1 << 12, dtype=np.uint16)
     values = np.rint(normal_of(middles) * std_px).astype(np.int64)
     return (values[:, None] * width + values).ravel(), int(values.max())
@@ -121,7 +124,7 @@ def _displacements(std_px: float, width: int) -> tuple[Ints, int]:
 
 @functools.lru_cache(maxsize=16)
 def _inner_pixels(shape: tuple[int, int], margin: int) -> Ints:
-    """Returns for each pixel (H, W) the number of the nearest pixel that is not in the margin."""
+    """Returns for each pixel (H, W) the flat index of the nearest pixel that is not in the margin of the image."""
     rows, columns = (np.clip(np.arange(side), margin, side - 1 - margin) for side in shape)
     return rows[:, None] * shape[1] + columns
 
@@ -145,9 +148,8 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     pixels = np.flatnonzero(columns[:-1] >= columns[1:])
     pixels = pixels[(pixels + 1) % width > 0]
     nearer = columns[pixels + 1]
-    while len(
-        pixels
-    ):  # a surface hides the consecutive pixels to its left, until one lies left of the surface in the second view
+    # a surface hides the pixels to its left, up to the first one that the second view, too, shows to its left
+    while len(pixels):
         found[pixels] = True
         has_left = pixels % width > 0
         pixels, nearer = pixels[has_left] - 1, nearer[has_left]
@@ -198,7 +200,7 @@ def _smooth_noise(shape: tuple[int, int], key: NoiseKey, step: int) -> Singles:
 
 
 def _interpolated(values: Singles, side: int) -> Singles:
-    """Returns rows (side, N), interpolated between rows (M, N) at a distance of `_HOLE_BLOCKS` rows.
+    """Returns rows (side, N), interpolated between rows (M, N) that are `_HOLE_BLOCKS` rows apart.
 
     The values are multiplied by `_HOLE_BLOCKS`, so they stay whole numbers.
     """
@@ -209,6 +211,6 @@ def _interpolated(values: Singles, side: int) -> Singles:
 
 @functools.lru_cache(maxsize=64)
 def _hole_level(share: float) -> float:
-    """Returns a threshold such that this share of the values of `_smooth_noise` is below it."""
+    """Returns the threshold for which the given share of the values of `_smooth_noise` is below the threshold."""
     values = np.sort(_smooth_noise((512, 512), NoiseKey(0, 0, ""), 0), axis=None)
     return float(values[round(share * (values.size - 1))]) + (share == 1)

@@ -92,9 +92,9 @@ def specific_forces(positions: Floats, frames: Floats, rate_hz: float) -> Floats
 def imu_errors(noise: ImuNoise, count: int, rate_hz: float, key: NoiseKey) -> Floats:
     """Returns the errors (count, 6) of gyroscope, rad/s, and accelerometer, m/s2: bias plus white noise.
 
-    The standard deviation of the white noise is its density x sqrt(rate); that of a step of the bias is its random walk
-    / sqrt(rate) (Kalibr, "IMU noise model"; N. Trawny and S. I. Roumeliotis, "Indirect Kalman filter for 3D attitude
-    estimation", 2005, Sec. 2.1).
+    The standard deviation of the white noise is the noise density x sqrt(rate). The standard deviation of a step of the
+    bias is the random walk / sqrt(rate) (Kalibr, "IMU noise model"; N. Trawny and S. I. Roumeliotis, "Indirect Kalman
+    filter for 3D attitude estimation", 2005, Sec. 2.1).
     """
     normals = key.normals(Effect.IMU_STEPS, (count, 2, 6)).astype(np.float64)
     white = normals[:, 0] * _per_axis(noise.gyro_white, noise.accelerometer_white) * math.sqrt(rate_hz)

@@ -57,7 +57,7 @@ def sense_odometry(odometry: WheelOdometry, twists: Floats, control_hz: int, key
 
 
 def wheel_travels(moves: Floats, track_m: float) -> Floats:
-    """Returns how far the left and the right wheel roll before each step (T, 2), metres.
+    """Returns the distances (T, 2) that the left and the right wheel roll from the previous step to each step, metres.
 
     Args:
         moves: (T, 2) forward distance, metres, and turn, radians, during each step; the last one is not used.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from schemas.support.numpy_types import Bools, Singles
 
 LEVELS = 1 << 16
-"""Number of values of a random number."""
+"""Number of different values that a random number can have."""
 _NOISE_STREAM = 21
 """Spawn key that separates sensor noise from the streams of jobs."""
 

@@ -47,7 +47,7 @@ class ClosedLoop:
         self.command = Twist(0.0, 0.0)
         """Current commanded twist, after the slew limit."""
         self.contact_steps = 0
-        """Number of steps with a contact other than the floor."""
+        """Number of steps in which the robot touched anything other than the floor."""
         self.view = self._observe()
         """Observation before the next action."""
 

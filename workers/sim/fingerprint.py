@@ -23,7 +23,8 @@ def make_fingerprint(renderer: str) -> Fingerprint:
     """
     software = {name: version(name) for name in _PACKAGES}
     software["python"] = platform.python_version()
-    software["libc"] = " ".join(platform.libc_ver()).strip() or "unknown"  # the C library computes sines and cosines
+    # the C library computes sines and cosines, so its version can affect the bytes
+    software["libc"] = " ".join(platform.libc_ver()).strip() or "unknown"
     return Fingerprint(software=software, renderer=renderer, cpu=f"{_cpu_model()} ({platform.machine()})")
 
 

@@ -32,7 +32,7 @@ class Drive:
     arrays: EpisodeArrays
     """Recorded actions and poses."""
     contact_steps: int
-    """Number of steps with a contact other than the floor."""
+    """Number of steps in which the robot touched anything other than the floor."""
     steps_visible: int | None
     """Number of steps in which the target was visible to the expert; `None` if the expert uses no images."""
     target_in_view: bool

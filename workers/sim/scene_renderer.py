@@ -49,7 +49,7 @@ class LoadedScene:
 
     @functools.cached_property
     def appearance(self) -> AppearanceScene:
-        """What the appearance of an episode depends on."""
+        """The scene with its light groups, from which the appearance of an episode is drawn."""
         return AppearanceScene(self.scene, self.light)
 
     @functools.cached_property

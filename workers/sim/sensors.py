@@ -25,7 +25,7 @@ from workers.sensors.observation import Observation, Surroundings, Trajectory, a
 from workers.sim.scene_renderer import LoadedScene
 
 _EXCESS = 1.1
-"""Estimate above which a rig is refused, as a multiple of the limit."""
+"""Estimated stored size of a rig above which the rig is refused, as a multiple of the limit."""
 
 
 class LoadedSurroundings:
@@ -110,13 +110,13 @@ def require_room(
 
 
 def _plain_bytes(sensor: Sensor) -> int:
-    """Returns the bytes of a measurement of a camera or lidar without compression."""
+    """Returns the size of a measurement of a camera or lidar without compression, bytes."""
     specs = arrays_of(sensor).values()
     return sum(math.prod(side or 0 for side in spec.shape) * np.dtype(spec.dtype).itemsize for spec in specs)
 
 
 def _stored_bytes(sensor: Sensor, t: int, track: Trajectory, scene: Surroundings, change: CameraChange | None) -> int:
-    """Returns the bytes of the members of a camera or lidar at step t."""
+    """Returns the size at which a measurement of a camera or lidar at step t is stored in the bundle, bytes."""
     assert not isinstance(sensor, Imu | WheelOdometry), "sensors of motion store a few bytes for each step"
     found, specs = arrays_in(observe(changed_sensor(sensor, change), t, track, scene)), arrays_of(sensor)
     return sum(len(encode_array(specs[name], array)) for name, array in found.items())

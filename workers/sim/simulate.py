@@ -35,7 +35,7 @@ from workers.sim.scene_renderer import SceneRenderer
 
 _PROGRESS_S = 0.25
 _KEPT_SCENES = 1
-"""Number of scenes in memory; a worker gets the jobs of a scene one after the other."""
+"""Number of scenes kept in memory. One is enough, because a worker gets the jobs of a scene one after the other."""
 _DISK_FULL = {errno.ENOSPC, errno.EDQUOT}
 _OK, _WORLD, _BUG = 0, 1, 3
 

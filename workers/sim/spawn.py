@@ -33,11 +33,11 @@ _BEARINGS = 384
 _DISTANCE_STREAM = 1
 """Key of the random stream of the distances of an episode whose starts are drawn without a check for obstacles."""
 _PREDICTIONS = 32
-"""Largest number of starts whose view is tested; in the near and mid tiers, the number for each distance. For an expert
-that drives straight, also the largest number of starts whose path is predicted; if none of them has
-`_PREDICTION_MARGIN_M`, the start with the most free space is selected."""
+"""In the near and mid tiers, largest number of starts at each distance whose view is tested. For an expert that drives
+straight, also the largest number of starts whose path is predicted, in all tiers; if none of these paths has the free
+space `_PREDICTION_MARGIN_M`, the start of the path with the most free space is selected."""
 _REJECTIONS = 256
-"""Number of otherwise valid starts with a rejected view, after which the search for a start ends."""
+"""The search for a start ends after the view of this number of otherwise valid starts was rejected."""
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
@@ -142,10 +142,11 @@ def _draw_fitting(
 
 
 def _distance_stream(job: Job, rng: np.random.Generator) -> np.random.Generator:
-    """Returns the generator of the distances: with blind draws, one that all attempts at an episode share.
+    """Returns the random generator of the start distances.
 
-    Blind attempts from a large distance fail more often. Without a shared stream, the archived distances would be
-    shorter than those of the tier (docs/design/starts.md#screening).
+    If starts are drawn blindly, i.e. without a check for obstacles, all attempts at an episode share one stream of
+    distances. Blind attempts from a large distance fail more often, so without a shared stream, the archived distances
+    would be shorter than those of the tier (docs/design/starts.md#screening).
     """
     if job.expert is ExpertName.PLANNER or job.spawn.needs_free_line:
         return rng

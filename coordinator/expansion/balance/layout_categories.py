@@ -44,7 +44,7 @@ def planned_categories(plan: Plan) -> Counter[str]:
 
 @lru_cache(maxsize=8)
 def _sequence(seed: tuple[int, ...], categories: int, episodes: int) -> NDArray[np.int16]:
-    """Returns a random sequence of categories for the episodes of a family, as indices."""
+    """Returns a random sequence of category indices, with at least one entry for each episode of a family."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     rounds = np.tile(np.arange(categories, dtype=np.int16), (-(-episodes // categories), 1))
     return rng.permuted(rounds, axis=1).ravel()

@@ -18,9 +18,9 @@ Shares = dict[int, Counter[str]]
 def category_quotas(scenes: Sequence[SceneCells]) -> dict[str, dict[Cell, Counter[str]]]:
     """Returns the number of episodes of each category in each cell, by name of the scene.
 
-    The cells of one split and tier are levelled together over all scenes, and continue the totals of the splits and
-    tiers before them, so every split and tier has even categories as far as possible. At the end all cells are
-    levelled together.
+    The cells of one split and tier are levelled together over all scenes, starting from the totals of the splits and
+    tiers that were levelled before. Every split and tier thus has even categories as far as possible. At the end all
+    cells are levelled together.
     """
     places = [(scene, cell) for scene in scenes for cell in scene.quota]
     options = [sorted({target.category for target in scene.pool(*cell)}) for scene, cell in places]
@@ -57,7 +57,7 @@ def level(shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], 
 
 
 def _even(count: int, options: Sequence[str], totals: Counter[str]) -> Counter[str]:
-    """Returns an even distribution; the remainder goes to the categories with the lowest totals."""
+    """Distributes `count` episodes evenly; the categories with the lowest totals get the remainder, one each."""
     each, rest = divmod(count, len(options))
     ranked = sorted(options, key=lambda name: (totals[name], name))
     return Counter({name: each + (rank < rest) for rank, name in enumerate(ranked)})
@@ -66,7 +66,10 @@ def _even(count: int, options: Sequence[str], totals: Counter[str]) -> Counter[s
 def _lower(
     high: str, shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]], totals: Counter[str]
 ) -> bool:
-    """Moves episodes to the category with the lowest total that a chain reaches; returns whether it moved any."""
+    """Moves episodes from category `high` to the category with the lowest total that a chain of exchanges reaches.
+
+    Returns whether it moved any episode.
+    """
     takes_from = _chains(high, shares, options)
     low = min(takes_from, key=lambda name: (totals[name], name), default=high)
     amount = (totals[high] - totals[low]) // 2
@@ -90,7 +93,11 @@ def _lower(
 def _chains(
     high: str, shares: Mapping[int, Counter[str]], options: Sequence[Sequence[str]]
 ) -> dict[str, tuple[str, int]]:
-    """Returns, for each category that a chain reaches, the category that gives it episodes, and the place."""
+    """Returns the categories that chains of exchanges from category `high` reach.
+
+    Maps each of them to the category that precedes it in the chain, which gives it episodes, and to the place of that
+    exchange.
+    """
     takes_from: dict[str, tuple[str, int]] = {}
     front = [high]
     while front:

@@ -230,7 +230,7 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
     """Compares the counters of open jobs with their recorded attempts and events."""
     for row in connection.execute(text(_HISTORY)):
         attempt = row.last_attempt if row.last_attempt is not None else row.former if row.draw else 1
-        # the first attempt of a draw, and attempts restored by `record_failures`, increase the number without an event
+        # two changes of the attempt number have no event: the first attempt of a draw, and `record_failures`
         if row.attempt <= (row.settled or 0) or (attempt is not None and row.attempt < attempt):
             yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)
@@ -250,7 +250,10 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
 
 
 def _draw_findings(connection: Connection, plan: Plan, catalog: Catalog) -> Iterator[str]:
-    """Repeats every redraw and compares the results: a redraw depends on plan, scene and number only."""
+    """Repeats every redraw and compares the result with the ledger.
+
+    A redraw depends only on the plan, the scene, the episode number and the number of the draw.
+    """
     later = select(jobs).where(jobs.c.draw > 0, IS_EPISODE).order_by(jobs.c.idx, jobs.c.draw)
     for row in connection.execute(later).all():
         if row.scene not in catalog:

@@ -89,7 +89,8 @@ class FarmReading:
     """State of a farm beyond its progress."""
 
     cells: dict[tuple[str, str, str], dict[str, int]]
-    """Number of current draws by scene, tier and split, and then by state; their sum is the quota of the cell."""
+    """Number of current draws by (scene, tier, split), and for each such cell by state. The numbers of a cell add up to
+    its quota."""
     running: dict[str, tuple[RunningJob, ...]]
     """Held jobs by the session id of their worker."""
     versions: dict[str, str]

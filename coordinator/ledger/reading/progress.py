@@ -79,7 +79,7 @@ def count_frames(connection: Connection) -> int:
 
 
 def _attempts(connection: Connection) -> list[Row[Any]]:
-    """Returns the number of attempts and of their steps by outcome."""
+    """Returns the number of attempts and the sum of their steps, by outcome."""
     rows = connection.execute(attempt_counts(connection)).all()
     return [row for row in rows if row.attempts]
 

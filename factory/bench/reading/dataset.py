@@ -41,7 +41,7 @@ class ReaderCost(Model):
     open_s: float
     """Time to open the dataset, seconds."""
     opened: Memory
-    """Memory after it was opened."""
+    """Memory after the dataset was opened."""
     filter_s: float
     """Time to select a split and a tier, seconds."""
     first_episode_s: float
@@ -51,7 +51,7 @@ class ReaderCost(Model):
     episodes_per_cpu_s: float
     """Random episodes per second of CPU time."""
     memory: Memory
-    """Memory after these episodes."""
+    """Memory after the random episodes were read."""
     digest_s: float
     """Time to compute the digest of the dataset, seconds."""
 
@@ -146,7 +146,7 @@ def _read(root: Path, reads: int) -> ReaderCost:
     filter_s = _seconds(lambda: dataset.filter(split="train_id", tier="near"))
     first_s = _seconds(lambda: dataset[0])
     positions = np.random.default_rng(_SEED).integers(len(dataset), size=reads).tolist()
-    _read_episode(dataset, 0)  # reads the shard index
+    _read_episode(dataset, 0)  # the first episode reads the shard index, too
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
     for position in positions:
         _read_episode(dataset, position)

@@ -60,13 +60,13 @@ class ServeBench(Model):
     episodes: int
     first_page: RequestCost
     table_page: dict[str, RequestCost]
-    """Cost by the path of the table page."""
+    """Path of a table page -> cost of its requests."""
     first_frame: RequestCost
-    """Cost of the first colour frame of an episode that was not open."""
+    """Cost of the first colour frame of different episodes. The server must open each episode for this request."""
     frames_per_s: float
     """Frames of an episode that the server supplies per second; a frame has colour, depth and ids."""
     frame_cpu_ms: float
-    """CPU time of the server for one such frame, milliseconds."""
+    """CPU time of the server for one frame with colour, depth and ids, milliseconds."""
     tabs: int
     tabs_s: float
     """Time for which the tabs were open, seconds."""
@@ -83,7 +83,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
         root: dataset, whose run may be in progress.
         repeats: number of timed requests of each page.
         tabs: number of open farm pages.
-        seconds: time for which the pages are open, seconds; before that, the idle server is measured for as long.
+        seconds: duration of each of two measurements, seconds: first the idle server, then with open farm pages.
 
     Raises:
         WorldError: the server does not start.

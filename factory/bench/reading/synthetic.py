@@ -56,7 +56,7 @@ _SETTLED = f"""
         SELECT changed_at, id, 'announced', 'submitted', attempt, attempt, sid, '' FROM jobs UNION ALL
         SELECT changed_at, id, 'archived', 'archived', attempt, attempt, sid, '' FROM jobs;
 """
-"""SQL that records the attempts and events of the rows of `episodes`."""
+"""SQL that records the attempts and events of all episodes in the table `episodes`."""
 
 
 class _Recorded(NamedTuple):
@@ -67,7 +67,7 @@ class _Recorded(NamedTuple):
     row: EpisodeSummary
     """Row of the episode in the metadata table."""
     text: bytes
-    """JSON text of the fields that follow the job in its `meta.json`."""
+    """JSON text of the fields that follow the field `job` in the `meta.json` of the episode."""
 
 
 class _Made(NamedTuple):

@@ -36,7 +36,7 @@ _TTL_S = 600.0
 _SID = "bench-1"
 _SHA256 = "c" * 64
 _ROUNDS = 8
-"""Number of claims of each worker in one run."""
+"""Number of cycles of each worker in one repetition. A cycle is claim, announcement and archiving of one job."""
 
 
 def bench_coordinator(
@@ -61,8 +61,8 @@ def bench_coordinator(
         workers: Number of concurrent requests.
         sessions: Number of simultaneous sessions for the memory measurement.
         bundle_bytes: Size of the bundle that each worker delivers when all finish together, bytes.
-        repeats: Number of repetitions of all parts except filling the ledger.
-        pullers: Number of validating processes that work at a time.
+        repeats: Number of repetitions. Filling the ledger, the sessions and the simultaneous deliveries run only once.
+        pullers: Number of validating processes that work at the same time.
     """
     machine, start_mib = describe_machine(), resident_mib()
     with samples[0].path.open("rb") as file:
@@ -108,7 +108,10 @@ def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
 
 
 def _cycles_per_s(writer: Writer, meta: EpisodeMeta, workers: int) -> float:
-    """Returns cycles per second; in each round, all workers claim, then announce, then their episodes are archived."""
+    """Returns the cycles per second.
+
+    In each round, all workers claim a job; when all have one, they announce their bundles; then all are archived.
+    """
     start_s = time.perf_counter()
     for _ in range(_ROUNDS):
         rows = _together(writer, [_claim] * workers)
@@ -133,7 +136,7 @@ def _announcing(lease: Lease) -> Callable[[Any], Any]:
 
 
 def archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], Any]:
-    """Returns the function that records an archived episode, for the ledger's writer."""
+    """Returns a function for the ledger's writer that records an archived episode."""
     job = meta.job.model_copy(update={"index": index})
     summary = summary_of(meta.model_copy(update={"job": job, "episode_id": job.episode_id}), _SHA256, 1000)
     return lambda connection: outcomes.archive(connection, lease, summary, datetime.now(UTC))
@@ -141,7 +144,7 @@ def archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], An
 
 def _validate(samples: Sequence[BenchSample], repeats: int) -> list[float]:
     with Validator() as validator:
-        validator.check(samples[0].path, samples[0].job)  # starts the validation process
+        validator.check(samples[0].path, samples[0].job)  # the first check starts the validation process
         frames = 0
         runs = []
         for _ in range(repeats):
@@ -161,7 +164,7 @@ def _validate_together(samples: Sequence[BenchSample], pullers: int, repeats: in
         def frames() -> int:
             return sum(each.result() for each in [pool.submit(check_all) for _ in range(pullers)])
 
-        count = frames()  # starts the processes
+        count = frames()  # the first checks start the processes
         return [count / _seconds(frames) for _ in range(repeats)]
 
 

@@ -39,7 +39,8 @@ class CoordinatorReady(Model):
 
     endpoints: tuple[str, ...]
     seconds: float
-    """Startup time until it listens, seconds; includes the checks of ledger and archive."""
+    """Time from the start of the coordinator until it accepts requests, seconds; includes the checks of ledger and
+    archive."""
 
 
 class CoordinatorUsage(Model):
@@ -47,7 +48,7 @@ class CoordinatorUsage(Model):
 
     memory: Memory
     cpu_s: float
-    """CPU time since the start of its process and of the validating processes, all threads, seconds."""
+    """CPU time of all threads of the coordinator process and of its validating processes since their start, seconds."""
 
 
 class _AcceptAll:
@@ -104,7 +105,7 @@ def serve_archive(
         plan: Plan of the ledger.
         catalog: Scenes of the plan.
         settings: Settings of the coordinator.
-        sample: Bundle that starts each validating process.
+        sample: Bundle that the validating processes check once before the coordinator opens, which starts them.
     """
     packages = {entry.sha256: entry.path for entry in catalog.values()}
     with Validator(settings.pullers, packages=packages) as checker, ThreadPoolExecutor(settings.pullers) as pool:

@@ -26,11 +26,12 @@ from schemas.plan import Plan
 
 _LEASE_S = 600.0
 _WAITING = 512
-"""Largest number of bundles of all workers that wait for the coordinator."""
+"""Largest number of bundles that wait for the coordinator, summed over all workers."""
 _WAITING_BYTES = 1 << 30
-"""Largest total size of these bundles, bytes."""
+"""Largest total size of the bundles that wait for the coordinator, bytes."""
 _READY_BYTES = 1 << 29
-"""If the bundles have a larger total size, bytes, they are made during the measurement instead of before it."""
+"""Threshold of the total size of all bundles, bytes. Below it, all bundles are made before the measurement; otherwise,
+each bundle is made when its job is claimed."""
 
 
 def bench_delivery(
@@ -120,7 +121,7 @@ def _archive_copies(
 
 
 def _fill(root: Path, plan: Plan, catalog: Catalog, recordings: Sequence[RecordedBundle]) -> None:
-    """Creates a ledger whose jobs are copies of the jobs of the recordings, in turn."""
+    """Creates a ledger. Each of its jobs is a copy of the job of a recording; the recordings are used in turn."""
     root.mkdir()
     engine = open_writer(ledger_url_of(root))
     open_run(engine, plan, catalog, _LEASE_S, datetime.now(UTC), _planned(plan, recordings))

@@ -27,7 +27,8 @@ from schemas.protocol.messages import Beat, BeatReply, ClaimReply, Done, Lease
 
 _META = "meta.json"
 _BEAT_S, _HURRIED_S = 2.0, 0.5
-"""Pause between two heartbeats: usually, and while the worker waits for the coordinator, seconds."""
+"""Pauses between two heartbeats, seconds. `_HURRIED_S` applies if at least half of the bundles that may wait for the
+coordinator are waiting."""
 
 
 class RecordedBundle:
@@ -41,7 +42,7 @@ class RecordedBundle:
             self._members = [(name, bundle.stored(name)) for name in names if name != _META]
 
     def copy(self, job: Job) -> bytes:
-        """Returns the bundle of another job, with valid digests."""
+        """Returns a copy of the bundle for another job, with valid digests."""
         meta = self.meta.model_copy(update={"job": job, "episode_id": job.episode_id})
         sealed, file = seal(meta, meta.frame_digests, self._arrays), BytesIO()
         with ContainerWriter(file) as out:
@@ -55,7 +56,7 @@ class BundleCopies:
     """Copies of recorded bundles by job; copies for jobs that are known in advance are made at construction.
 
     Args:
-        recordings: Recorded bundles, which the jobs use in turns by episode number.
+        recordings: Recorded bundles. The episode number of a job determines which of them is copied.
         jobs: Jobs whose bundles are made now; the bundle of any other job is made when the job is claimed.
     """
 
@@ -81,7 +82,7 @@ class DeliveringWorker(BenchWorker):
         run: Name of the run.
         copies: Bundles of the jobs.
         is_validated: Whether the worker announces its bundles as validated.
-        at_once: Number of bundles that may wait for the coordinator.
+        at_once: Largest number of bundles of this worker that wait for the coordinator.
     """
 
     def __init__(
@@ -104,7 +105,7 @@ class DeliveringWorker(BenchWorker):
         while self._deliver_next():
             while len(self._waiting) >= self._at_once:
                 self._drop_archived(_HURRIED_S)
-            # a worker whose spool is half full does not wait for its next heartbeat
+            # like a real worker, sends heartbeats more often when its spool is half full
             if 2 * len(self._waiting) >= self._at_once:
                 self._drop_archived(_HURRIED_S, waits=False)
             else:
@@ -127,7 +128,11 @@ class DeliveringWorker(BenchWorker):
             self._drop_archived(_HURRIED_S)
 
     def _drop_archived(self, pause_s: float, *, waits: bool = True) -> None:
-        """Sends a heartbeat and drops archived bundles, at most once in `pause_s` seconds."""
+        """Sends a heartbeat and drops the bundles that have been archived.
+
+        If the last heartbeat was less than `pause_s` seconds ago, first waits for the rest of the pause, or does
+        nothing if `waits` is false.
+        """
         left_s = self._beaten + pause_s - time.monotonic()
         if left_s > 0 and not waits:
             return

@@ -25,9 +25,10 @@ class DeliveryPace(Model):
     """Pace of a coordinator that archives valid bundles; CPU times include its validating processes."""
 
     pullers: int
-    """Number of bundles that are transferred and validated at a time."""
+    """Number of bundles that are transferred and validated at the same time."""
     spot_checks: float | None
-    """Share of bundles that the coordinator validates completely, although their worker did; `None`: all bundles."""
+    """Share of the bundles validated by workers that the coordinator validates completely again. `None`: the
+    coordinator validates all bundles."""
     validated: int
     """Number of episodes that the coordinator validated completely."""
     seconds: float
@@ -75,7 +76,7 @@ class DeliveryBench(Model):
     workers: int
     """Number of simulated workers."""
     paces: tuple[DeliveryPace, ...]
-    """Pace by number of pullers and share of spot checks."""
+    """Pace of each variant; the variants differ in the share of spot checks."""
 
 
 class VerbLoad(Model):
@@ -88,7 +89,7 @@ class VerbLoad(Model):
     sent_bytes: float
     """Mean size of a reply, bytes."""
     cpu_us: float
-    """CPU time of parsing, ledger and reply, without commit and network, microseconds."""
+    """Mean CPU time of a request for parsing, ledger and reply, without commit and network, microseconds."""
 
 
 class SessionsBench(Model):
@@ -107,7 +108,7 @@ class SessionsBench(Model):
     seconds: float
     """Simulated time, seconds."""
     verbs: dict[str, VerbLoad]
-    """Load by verb; `archive` is the record of an archived episode, which is not a request."""
+    """Verb -> load. The entry `archive` is not a request: it is the ledger's work to record an archived episode."""
     episodes_per_s: float
     """Archived episodes per second of simulated time."""
     commits_per_s: float

@@ -29,9 +29,10 @@ _LINK_LEASE_S = 60.0
 _ASK_S = 30.0
 _BEAT_S = 0.5
 _PARALLEL = 64
-"""Number of workers that act concurrently."""
+"""Largest number of workers of one process that send requests at the same time."""
 _ARRIVING, _TRIES = 8, 10
-"""Number of sessions opened concurrently, and attempts to open each; a connection may time out after 2 s under load."""
+"""`_ARRIVING`: number of sessions that are opened at the same time. `_TRIES`: number of attempts to open a session,
+because a connection may time out after 2 s under load."""
 
 
 class WorkCost(Model):
@@ -121,7 +122,7 @@ def claim_and_announce(
 ) -> None:
     """Every worker claims and announces `cycles` jobs and serves the bundles; sends a `WorkCost`.
 
-    The coordinator pulls bundles concurrently, as fast as it can; no worker waits for it.
+    The coordinator pulls bundles concurrently, as fast as it can; no worker waits until its bundles are pulled.
     """
     bundle = bundle_of(size)
     digest = sha256(bundle).hexdigest()
@@ -142,7 +143,7 @@ def claim_and_announce(
 
 
 def claim_until_stopped(pipe: Connection, endpoints: Sequence[str], run: str, pause_s: float) -> None:
-    """One worker claims periodically until the pipe receives a message; sends the response times, seconds."""
+    """One worker claims periodically until a message arrives in the pipe; then sends the response times, seconds."""
     (member,) = _open(endpoints, run, 1)
     waits = []
     pipe.send(1)
@@ -155,7 +156,7 @@ def claim_until_stopped(pipe: Connection, endpoints: Sequence[str], run: str, pa
 
 
 def deliver_together(pipe: Connection, endpoints: Sequence[str], run: str, members: int, size: int) -> None:
-    """All workers finish a bundle of `size` bytes simultaneously; sends the seconds until all are archived."""
+    """All workers finish a bundle of `size` bytes simultaneously; sends the time until all are archived, seconds."""
     bundle = bundle_of(size)
     digest = sha256(bundle).hexdigest()
     fleet = _open(endpoints, run, members, bundle)
@@ -173,7 +174,10 @@ def deliver_together(pipe: Connection, endpoints: Sequence[str], run: str, membe
 
 
 def stay_connected(pipe: Connection, endpoints: Sequence[str], run: str, members: int) -> None:
-    """Opens sessions that send `hello`, sends their number, and keeps them open until the pipe receives a message."""
+    """Opens sessions and sends `hello` in each; keeps them open until a message arrives in the pipe.
+
+    Sends the number of sessions through the pipe when all are open.
+    """
     fleet = _open(endpoints, run, members)
     _all(BenchWorker.introduce, fleet)
     pipe.send(len(fleet))

@@ -35,13 +35,14 @@ from schemas.storage.dataset_files import LEDGER_FILE
 
 _START = datetime(2026, 1, 1, tzinfo=UTC)
 _WINDOW_S = 0.02
-"""All requests in a window of this virtual time are handled together, seconds; about the time of a commit to disk."""
+"""Length of a window in virtual time, seconds. All requests in a window are handled together; a commit to disk takes
+about this time."""
 _ARCHIVE_S = 1.0
 """Time from the announcement of a bundle to the archived episode, seconds."""
 _BEATS_PER_LEASE = 4
 _VERSION = "bench"
 _ARCHIVE = "archive"
-"""Name under which the ledger's work for archived episodes is reported; it is not a request."""
+"""Name that the results use for the ledger's work to record an archived episode, which is not a request."""
 
 
 @dataclass(frozen=True)

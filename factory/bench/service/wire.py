@@ -31,7 +31,8 @@ from schemas.errors import WorldError
 from schemas.plan import Plan
 
 _CYCLES = 5000
-"""Total number of cycles of all workers in one run; fewer for a small ledger, because each cycle uses up one job."""
+"""Largest number of cycles in one run, summed over all workers. A small ledger allows fewer cycles, because each cycle
+uses up one job."""
 _CYCLE_BUNDLE_BYTES = 1 << 20
 """Size of a bundle during the cycles, bytes: one chunk."""
 _WORKERS_PER_PROCESS = 500
@@ -61,7 +62,7 @@ def bench_wire(
         workers: Number of concurrent workers.
         sessions: Number of simultaneous sessions for the memory measurement.
         bundle_bytes: Size of each bundle in the simultaneous deliveries, bytes.
-        repeats: Number of repetitions of the cycles and of the start.
+        repeats: Number of runs of the cycles; each run starts a coordinator.
 
     Raises:
         WorldError: A process of the benchmark exited early.
@@ -82,14 +83,14 @@ def bench_wire(
 
 
 class _Run(NamedTuple):
-    """Measurements of one run of cycles, each with a new coordinator."""
+    """Measurements of one run of cycles. Each run starts a new coordinator."""
 
     cycles: int
     start_s: float
     fleet: WorkCost
     coordinator_cpu_s: float
     archived: int
-    """Number of bundles archived before the last cycle was answered."""
+    """Number of bundles that the coordinator archived before it answered the last announcement."""
 
 
 def _named(size: int) -> tuple[str, int]:

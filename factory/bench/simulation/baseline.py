@@ -28,13 +28,13 @@ from workers.render.tiny import TinyScene
 
 
 def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
-    """Generates frames at poses spread over those given, with one physics step before each, and returns the rates.
+    """Generates frames, each after one physics step, and returns the rates.
 
     Args:
         scene: Scene.
         job: Job with the robot and the camera.
-        poses: Poses of one or more episodes, in order.
-        frames: Number of frames, after one warm-up frame.
+        poses: Poses of one or more episodes, in order. The frames use `frames` of them, evenly spread.
+        frames: Number of timed frames, which follow one warm-up frame.
     """
     chosen = [poses[round(k)] for k in np.linspace(0, len(poses) - 1, frames)]
     recorder = StageRecorder()

@@ -22,9 +22,10 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 from workers.process.simulation import ProcessEnd, Simulation
 
 _WHOLE_EVERY = 41
-"""Every n-th episode runs to its end, in addition to the first of each scene; n is prime, so all scenes occur."""
+"""Every 41st episode runs to its end, and so does the first episode of each scene. The number is prime, so the episodes
+that run to their end are from all scenes."""
 _STEPS = 5
-"""Step limit of all other episodes."""
+"""Step limit of the episodes that do not run to their end."""
 _TENTH = 10
 _HANG_S = 120.0
 _ENDS = {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}

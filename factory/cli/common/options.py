@@ -124,7 +124,7 @@ ledger_option = click.option(
     envvar="MINIVLA_LEDGER",
     help="URL of the ledger's database. Default: MINIVLA_LEDGER, else ledger.db in the dataset directory.",
 )
-"""`--ledger URL`, or MINIVLA_LEDGER: the URL can contain a password, which is visible in a command line."""
+"""`--ledger URL`, or MINIVLA_LEDGER, because a password in the URL would be visible in the command line."""
 
 tls_option = click.option(
     "--tls",
@@ -159,7 +159,7 @@ verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log all eve
 def workers_option(
     text: str, default: int | None = None, least: int = 1, unset: str = "one per core"
 ) -> Callable[[Command], Command]:
-    """Returns the option `--workers N`: number of processes; `None` means what `unset` describes."""
+    """Returns the option `--workers N`: number of processes. If `default` is `None`, the help shows `unset`."""
     return click.option(
         "--workers",
         type=click.IntRange(least, 1024),

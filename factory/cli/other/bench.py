@@ -51,7 +51,7 @@ def command() -> None:
     from factory.support.logs import configure_logs
 
     configure_logs(verbose=False)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C, so measured processes end
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the measured processes, too
 
 
 @command.command("rollout")

@@ -14,14 +14,14 @@ _TLS_LISTEN = ("tls/0.0.0.0:7447",)
 
 
 def choose_listening(tls: Path | None, listen: tuple[str, ...]) -> tuple[Guard | None, tuple[str, ...]]:
-    """Returns the access control, `None` without TLS, and the endpoints to listen on.
+    """Returns the access control (`None` without TLS) and the endpoints to listen on.
 
     Args:
         tls: TLS folder of this host, or `None`.
         listen: endpoints given by the user; when empty, the default endpoint is used.
 
     Raises:
-        UsageError: an endpoint does not fit: not on loopback without TLS, or not `tls/` with it.
+        UsageError: without TLS, an endpoint is not on loopback; with TLS, an endpoint does not begin with `tls/`.
     """
     if tls is None:
         require_loopback(listen)

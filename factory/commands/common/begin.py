@@ -54,7 +54,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> RunStart:
 
 
 def _load(name: str, recorded: Plan | None) -> Plan:
-    """Returns a plan; a plan file without success measure gets that of the dataset which the run continues."""
+    """Returns a plan; if its file has no success measure, the plan gets that of the recorded plan."""
     return load_plan(name) if recorded is None else load_plan(name, recorded.task.success)
 
 

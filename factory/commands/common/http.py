@@ -64,7 +64,7 @@ def run_pages(
         http: value of `--http`.
         token_file: value of `--http-token`.
         ledger: URL of the ledger; `None` for the ledger of the dataset.
-        evaluations: values of `--eval`; a directory that does not exist yet is shown when it does.
+        evaluations: values of `--eval`; a directory that does not exist yet is shown as soon as it exists.
 
     Raises:
         UsageError: the address is malformed or unprotected, or the extra `metrics` is missing.

@@ -15,7 +15,7 @@ from factory.runs.layouts import BuiltLayout, LayoutBuilds
 
 @contextmanager
 def building_layouts(processes: int, stop: threading.Event) -> Iterator[LayoutBuilds]:
-    """Yields the settings of builds; these show a progress bar, and print why a seed was not used."""
+    """Yields settings for builds of layouts. The builds show a progress bar, and print why they do not use a seed."""
     with _LayoutBar() as bar:
         yield LayoutBuilds(processes, stop, bar.tell)
 

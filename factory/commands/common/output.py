@@ -100,7 +100,7 @@ class FittedTable:
 
 
 def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, gap: int) -> list[list[int]]:
-    """Returns the columns of each piece of at most `room` characters; the columns that identify rows are in each."""
+    """Returns the columns of each piece of at most `room` characters. Each piece has the columns that identify rows."""
     names = [all(map(str.isidentifier, (row[k][:1] for row in cells))) for k in range(min(_MOST_KEYS, len(widths)))]
     keys = max(1, (*names, False).index(False))
     while keys > 1 and sum(widths[:keys]) + gap * keys > room / 2:

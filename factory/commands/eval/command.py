@@ -66,7 +66,7 @@ def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
 
 
 def _exit_code_of(evaluation: Evaluation) -> int:
-    """Returns the exit code: 1 if a policy had a fault in every episode, because it was then not evaluated."""
+    """Returns the exit code: 1 if a policy had a fault in every episode, because such a policy was not evaluated."""
     lost = [policy.policy for policy in evaluation.policies if policy.only_failed]
     for name in lost:
         click.echo(f"error: policy {name} had a fault in every episode, so it was not evaluated", err=True)
@@ -76,7 +76,7 @@ def _exit_code_of(evaluation: Evaluation) -> int:
 def _network_access(
     listen: tuple[str, ...], connect: tuple[str, ...], tls: Path | None, out: Path | None, workers: int | None
 ) -> FleetAccess | None:
-    """Returns how workers are reached; `None` if this machine runs the episodes."""
+    """Returns the network access to remote workers; `None` if this machine runs the episodes."""
     if not (listen or connect):
         if tls is not None:
             raise UsageError("--tls requires --listen or --connect; give one of them, or remove --tls")

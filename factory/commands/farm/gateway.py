@@ -63,7 +63,7 @@ def start(
 def _choose_identity(
     tls: Path | None, name: str | None, connect: tuple[str, ...], listen: tuple[str, ...]
 ) -> tuple[Guard | None, str, tuple[str, ...]]:
-    """Returns the access control, `None` without TLS, the name of the gateway, and the endpoints to listen on."""
+    """Returns the access control (`None` without TLS), the name of the gateway, and the endpoints to listen on."""
     require_endpoints(connect, with_tls=tls is not None)
     if tls is None:
         require_loopback(listen)

@@ -275,7 +275,7 @@ def _table(columns: Sequence[str], body: Sequence[Sequence[str]]) -> None:
 
 
 def _aligned(cells: Sequence[str]) -> list[str]:
-    """Aligns the cells and the heading of a column of numbers right."""
+    """Aligns the heading and the cells of a column of numbers to the right."""
     width = max(map(len, cells))
     is_number = all(cell[:1].isdigit() or cell.startswith(_DASH) for cell in cells[1:])
     return [cell.rjust(width) if is_number else cell for cell in cells]

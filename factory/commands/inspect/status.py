@@ -28,11 +28,11 @@ _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
 """Time without an answer after which `--watch` gives up, seconds; a restart of a coordinator takes a few seconds."""
 _FIRST = max(map(len, BUILTIN_CATEGORIES))
-"""Width of the first columns, characters, so the numbers of all tables are aligned."""
+"""Minimum width of the first column of each table, characters. It aligns the numbers of all tables."""
 _REASON_CHARS = 200
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 _ALWAYS = ("pending", "leased", "archived")
-"""States whose columns are always shown."""
+"""States whose columns are always shown; the columns of other states are shown if a job has the state."""
 
 
 def execute(
@@ -54,7 +54,7 @@ def execute(
 
 
 def _inside(site: Site) -> Site:
-    """Returns the location itself, or that of the dataset or shards in the folder of a submitted run."""
+    """Returns the location of the dataset or the shards if `site` is the folder of a submitted run, else `site`."""
     run = site.place
     if not isinstance(run, Path) or not is_submitted_run(run):
         return site
@@ -147,7 +147,7 @@ def _describe_sandbox(layers: tuple[str, ...]) -> list[Text]:
 
 
 def _describe_host(host: HostStatus) -> Text:
-    """Returns why a host receives no jobs, or one at a time, and what to do."""
+    """Returns why a host is barred or limited to one job at a time; for a barred host, also what to do."""
     why = f"{host.strikes} failures, last: {' '.join(host.reason[:_REASON_CHARS].split())}"
     if host.barred_at is None:
         return Text(f"host {host.host} is limited to one job at a time, with pauses: {why}", style="yellow")

@@ -64,7 +64,7 @@ def execute(
     """Executes `factory run`."""
     configure_logs(verbose)
     _check_options(engine, address, http, evaluations)
-    if engine != "ray":  # with Ray, the nodes of the cluster render
+    if engine != "ray":  # with Ray, only the nodes of the cluster need a renderer
         require_renderer(renderer)
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)

@@ -33,11 +33,11 @@ def built_in_layout(name: str, seed: int) -> BuiltInLayout | None:
     """Returns the layout that the name of a built-in scene or of a layout denotes; `None` for any other name.
 
     Args:
-        name: name such as `office` or `office_00007`, whose number is its seed.
-        seed: seed of a scene without number.
+        name: name of a built-in scene, such as `office`, or of a layout, such as `office_00007` with seed 7.
+        seed: seed of the layout if the name has no number.
 
     Raises:
-        UsageError: the name has a number, and `seed` is another one.
+        UsageError: the name has a number, and `seed` is neither 0 nor this number.
     """
     number = layout_number(name)
     if number is None:

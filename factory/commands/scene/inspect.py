@@ -19,7 +19,7 @@ _TIERS = {
     "surface: straight": "surface_straight_tiers",
     "surface: connected": "surface_connected_tiers",
 }
-"""Name of a column -> key of the tiers."""
+"""Column heading without `from` -> key of the tiers of a target, as in the output of `--json`."""
 
 
 def execute(scene: str, seed: int, out: Path | None, as_json: bool) -> None:

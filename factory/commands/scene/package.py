@@ -74,7 +74,7 @@ def describe_rest(others: Sequence[Mapping[str, str | None]], instances: int) ->
     """Yields lines about the instances that are not targets, with the names of some of them.
 
     Args:
-        others: these instances, as returned by `list_other_things`.
+        others: the instances that are not targets, as returned by `list_other_things`.
         instances: number of instances in the scene.
     """
     yield f"not targets: {len(others)} of {instances} instances"
@@ -105,7 +105,7 @@ class Steps:
     """Suggested next steps."""
 
     next: tuple[str, ...]
-    """Commands."""
+    """Commands to run next, in this order."""
     plan: str | None
     """A first plan as TOML; `None` if no target has a feasible start."""
 

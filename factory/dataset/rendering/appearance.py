@@ -29,7 +29,7 @@ class AppearancePackage(NamedTuple):
 
     @property
     def sha256(self) -> str:
-        """Key of the scene; equal keys give equal images."""
+        """Key of the scene with its appearance; equal keys give equal images."""
         factors = self.drawn.model_dump_json(exclude={"name", "episode"}).encode()
         return hashlib.sha256(self.package.sha256.encode() + factors).hexdigest()
 
@@ -51,7 +51,7 @@ class AppearancePackage(NamedTuple):
 def _rays_of(varied: AppearancePackage) -> SceneRays:
     from workers.sensors.rays import SceneRays
 
-    varied.package.rays()  # raises the error of a missing package
+    varied.package.rays()  # raises an error if the scene package or embreex is missing
     return SceneRays(varied.scene())
 
 

@@ -46,7 +46,7 @@ def measure(bundle: EpisodeBundle, sensor: Imu | WheelOdometry) -> ImuMeasuremen
 
 
 def is_stored(bundle: EpisodeBundle, sensor: Sensor) -> bool:
-    """Returns whether an episode stores the measurements of a sensor with the same parameters."""
+    """Returns whether an episode stores measurements of this sensor, with the same name and parameters."""
     rig = bundle.meta.job.view.rig if bundle.has_sensors else None
     return rig is not None and sensor in rig.sensors
 

@@ -66,7 +66,7 @@ class SharedRenderer:
         self._warns, self._warned = _is_first_loader_worker(), set[str]()
 
     def render_once(self, view: View, recorded_with: str) -> RenderedFrame:
-        """Like `render`, but returns the last frame of this thread again if the view is the same; do not modify it."""
+        """Like `render`, but returns the last frame of this thread if its view is equal; do not modify the frame."""
         last: tuple[View, RenderedFrame] | None = getattr(self._last, "frame", None)
         if last is None or last[0] != view:
             last = self._last.frame = view, self.render(view, recorded_with)
@@ -105,7 +105,7 @@ class SharedRenderer:
             return renderer.render_camera(camera, pose)
 
     def omit_warnings(self) -> None:
-        """Disables the warning about another renderer; for callers that report themselves how far frames differ."""
+        """Disables the warning about another renderer, for callers that measure and report the difference of frames."""
         self._warns = False
 
     @property
@@ -116,7 +116,7 @@ class SharedRenderer:
 
     @property
     def prepared_scenes(self) -> list[tuple[object, ...]]:
-        """SHA-256 of the scenes that each idle rendering process keeps prepared."""
+        """For each idle rendering process, the SHA-256 of the scenes that it keeps prepared."""
         with self._returned:
             return [renderer.prepared for renderer in self._free]
 
@@ -150,14 +150,14 @@ class SharedRenderer:
             return
         self._warned.add(recorded_with)
         remedy = "`factory verify --render` compares the frames with the recorded digests"
-        import structlog  # slow, and needed only for this warning
+        import structlog  # slow to import, and needed only for this warning
 
         log = structlog.get_logger(__name__)
         log.warning("renderer_differs", recorded_with=recorded_with, here=here, remedy=remedy)
 
 
 def _is_first_loader_worker() -> bool:
-    """Returns whether this process logs warnings; in a PyTorch DataLoader, only the first worker does."""
+    """Returns whether this process logs warnings: of the worker processes of a DataLoader, only the first one does."""
     loading = sys.modules.get("torch.utils.data")
     worker = loading.get_worker_info() if loading else None
     return worker is None or worker.id == 0

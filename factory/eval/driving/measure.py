@@ -22,15 +22,17 @@ from workers.geometry.grid import Grid
 from workers.planning import geodesic_field, geodesic_m
 
 _NEARBY_M = 0.6
-"""Search radius for the nearest reachable grid cell around a pose close to furniture, metres."""
+"""Largest distance from a position outside of the distance field to the nearest cell of the field, metres. Beyond it,
+`floor_distance_m` finds no path."""
 
 
 def progress(start_m: float, now_m: float) -> float:
     """Returns the covered fraction of the initial distance (paper Sec. V, OP); negative if the distance increased.
 
     Args:
-        start_m: Distance to the target at the start, minus the success radius for the normalised metric.
-        now_m: The same distance at the end, or its minimum over the rollout.
+        start_m: Distance to the target at the start.
+        now_m: Distance to the target at the end, or its minimum over the rollout. For the normalised metric, the
+            success radius is subtracted from both distances.
     """
     return (start_m - now_m) / start_m if start_m > 0 else 0.0
 

@@ -27,7 +27,7 @@ class PolicyInput(TypedDict):
     depth: NotRequired[NDArray[np.float32]]
     """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing; present if `rgb` is."""
     sensors: NotRequired[dict[str, dict[str, NDArray[Any]]]]
-    """Latest measurement of each sensor of the rig, by sensor and array (docs/rigs.md#policies); only with `--rig`."""
+    """Sensor name -> array name -> array of the latest measurement (docs/rigs.md#policies); only with `--rig`."""
     instruction: str
     step: int
     """Number of executed actions, from 0."""

@@ -22,7 +22,7 @@ from schemas.rig.requirements import require_sensor_packages
 from workers.sensors.observation import Trajectory, arrays_in, measure, observe
 
 SensorArrays = dict[str, dict[str, NDArray[Any]]]
-"""Arrays of the latest measurement by sensor and name."""
+"""Sensor name -> array name -> array of the latest measurement."""
 _IDS = "ids"
 
 

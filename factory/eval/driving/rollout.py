@@ -269,7 +269,7 @@ def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig)
 
 
 def _stop_progress(is_success: bool) -> dict[str, Any]:
-    """Returns the three progress metrics of an episode without a goal: all are 1 after a success, else 0."""
+    """Returns the three progress metrics of an episode without a goal: 1 after a success, otherwise 0."""
     return dict.fromkeys(("progress_final", "progress_max", "progress_normalised"), float(is_success))
 
 

@@ -64,12 +64,12 @@ class EvalTask(Model):
     """Episode to evaluate; the command, the workers and the driver processes use this same model."""
 
     number: Annotated[int, Field(ge=1)]
-    """Number in the campaign, from 1; with remote workers also the index of its job."""
+    """Number of the task in the campaign, from 1. With remote workers, the job of the task has this index."""
     policy: str
     request: EvalRequest
     setup: Setup
     actions: Actions | None = None
-    """Actions of the recorded episode in the request; added when the task is sent."""
+    """Actions of the archived episode that the request names; added when the task is sent."""
 
 
 class DriverOrder(Model):

@@ -70,14 +70,15 @@ class EpisodeResult(Model):
     trajectory_length_m: NonNegative
     """Trajectory length (TL)."""
     final_ne_m: NonNegative
-    """Navigation error (NE): distance to the target at the end, by the success measure like all distances to it."""
+    """Navigation error (NE): distance to the target at the end. This distance, `spawn_dist_m` and `min_ne_m` use the
+    success measure."""
     min_ne_m: NonNegative
     final_centroid_m: NonNegative | None = None
-    """NE by the centroid; `None` in results of older versions and of killed driver processes."""
+    """NE to the centroid; `None` in results of older versions, and if the driver process was killed or died."""
     final_surface_m: NonNegative | None = None
-    """NE by the footprint; `None` if `final_centroid_m` is `None`, or if the scene records no footprint."""
+    """NE to the footprint; `None` if `final_centroid_m` is `None`, or if the scene records no footprint."""
     geodesic_m: NonNegative | None
-    """Geodesic distance at the start, which is l in SPL."""
+    """Geodesic distance to the success region at the start, which is l in SPL; `None` without a path."""
     spl: Fraction | None
     """SPL; `None` without a path on the floor."""
     soft_spl: Fraction | None
@@ -86,7 +87,7 @@ class EpisodeResult(Model):
     progress_max: float
     """OP from the start to the closest point of the track."""
     progress_normalised: float
-    """`progress_max` with the success radius subtracted from both distances, at most 1; 1 means inside the radius."""
+    """`progress_max` computed from the distances minus the success radius; 1 if the track enters the radius."""
     contact_steps: Annotated[int, Field(ge=0)]
     """Number of steps with a contact other than the floor."""
     clipped_actions: Annotated[int, Field(ge=0)]

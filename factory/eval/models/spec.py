@@ -57,8 +57,8 @@ class EvalSpec(EpisodeSpec):
     spawn_pose: tuple[float, float, float]
     """Pose of base_link before the warm-up steps: x, y in metres, yaw in radians."""
     spawn_source: Literal["job", "frame", "drawn"]
-    """`job`: exactly the pose drawn in the data collection; `frame`: pose at frame 0 of the episode, because another
-    version of the software recorded it; `drawn`: new pose, drawn for this set."""
+    """`job`: exactly the pose drawn in the data collection. `frame`: pose at frame 0 of the archived episode, because
+    this version of the software draws another pose for its job. `drawn`: new pose, drawn for this set."""
     spawn_dist_m: NonNegative
     """Planar distance from the start pose to the target by the success measure, metres."""
     geodesic_m: NonNegative | None

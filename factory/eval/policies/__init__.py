@@ -45,7 +45,7 @@ class PolicyEntry(NamedTuple):
 
     make: PolicyFactory
     usage: str
-    """Form of the name after `--policy`."""
+    """Form of the policy name, such as `ws://HOST:PORT`."""
     needs_recording: bool = False
     """Whether the policy replays actions of archived episodes."""
     reads_instruction: bool = False
@@ -106,7 +106,7 @@ def is_user_class(name: str) -> bool:
 
 
 def renders_apart(name: str) -> bool:
-    """Returns whether a separate process renders the frames for the policy of that name."""
+    """Returns whether a separate process renders the frames for the policy with this name."""
     return POLICIES.get(name.partition(":")[0], _USER_CLASS).renders_apart
 
 
@@ -199,7 +199,7 @@ def file_of(name: str) -> Path | None:
 
 
 def describe_knowledge(policy: Policy) -> str:
-    """Returns the inputs of a policy, for the results."""
+    """Returns a description of the information that a policy uses, for the results."""
     return policy.knows if isinstance(policy, BlindPolicy) else "camera and instruction"
 
 

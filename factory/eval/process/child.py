@@ -120,7 +120,7 @@ class _Driver:
             self._status.begin(Activity.SIMULATING)
             result = run_episode(order.task, policy, self._simulator, loaded, self._status)
         if result.end in {EvalEnd.POLICY_LOST, EvalEnd.POLICY_HUNG}:
-            self._status.is_warm = False  # the next reply uses a new connection
+            self._status.is_warm = False  # the first reply over a new connection has the longer time limit
         return result
 
     def _policy_of(self, order: DriverOrder) -> Policy:

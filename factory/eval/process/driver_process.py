@@ -22,7 +22,8 @@ from workers.process.one_core import one_core
 CHILD = python_module("factory.eval.process.child")
 _SIMULATION_S = 120.0
 _GRACE_S = 5.0
-"""Additional time for a policy that enforces its time limit itself, seconds."""
+"""Additional time before a process with a policy on a server is killed, seconds. Such a policy enforces its time limit
+itself."""
 _MOST_WORDS_CHARS = 300
 
 

@@ -22,7 +22,8 @@ from schemas.errors import UsageError, WorldError
 
 _POLL_S = 0.05
 _TRIES = 2
-"""Number of attempts at an episode when the simulation process dies outside of policy calls."""
+"""Number of attempts at an episode in which the driver process dies outside of policy calls. After the last one, the
+campaign stops with an error."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ class _PolicyCampaign:
         return None
 
     def _made(self) -> DriverProcess | None:
-        """Returns a driver that has created the policy, or `None`."""
+        """Returns a driver process in which the policy has been created, or `None`."""
         return next((driver for driver in self._drivers if self._policy in driver.made), None)
 
     def _keep(self, result: EpisodeResult) -> None:

@@ -99,7 +99,10 @@ class _EvalWorker:
 def _result(
     heard: Outcome | DriverEnded, task: EvalTask, driver: DriverProcess
 ) -> EpisodeResult | worker.SimulationReport:
-    """Returns the result of a task, or a failure report that attributes the error to machine, server or task."""
+    """Returns the result of a task, or a failure report.
+
+    The reason in the report is `RELEASED` if this machine or the server of the policy caused the failure.
+    """
     if isinstance(heard, DriverEnded):
         if heard.fault is not None and task.policy in driver.made:
             return interrupted_result(task, heard.detail, heard.fault, heard.state)

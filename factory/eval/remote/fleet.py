@@ -115,7 +115,7 @@ def run_fleet(
         is_over = _take_results(coordinator, intake, root, stop)
     if is_over:
         _require_whole(root, store)
-        shutil.rmtree(root, ignore_errors=True)  # the results contain all content of the folder
+        shutil.rmtree(root, ignore_errors=True)  # all content of the folder is in the results
         with contextlib.suppress(OSError):
             root.parent.rmdir()  # fails if the folder contains another campaign
     return is_over

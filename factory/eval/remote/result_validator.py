@@ -36,9 +36,10 @@ _CLOCKS = {"act_ms", "seconds"}
 _TRACK_SLACK_M = 0.003
 """Tolerance of positions in a track, metres; they are rounded to 1 mm."""
 _SPAWN_SLACK_M, _SPAWN_SLACK_RAD = 0.1, 0.2
-"""Maximum displacement and rotation during the warm-up steps, in which the robot settles."""
+"""Maximum displacement (metres) and rotation (radians) during the warm-up steps, in which the robot settles."""
 _SPEED_SLACK, _PUSH_M = 1.5, 0.05
-"""Tolerances: factor by which a sliding robot can exceed the maximum speed, and displacement by contacts, metres."""
+"""`_SPEED_SLACK`: factor by which a sliding robot can exceed the maximum speed. `_PUSH_M`: distance that contacts can
+move the robot between two poses of the track, metres."""
 
 
 class EvalReceipt(Model):

@@ -23,7 +23,7 @@ from schemas.protocol.messages import MAX_ATTACHMENT_BYTES, Attachment
 Attached = Mapping[str, tuple[Attachment, Path]]
 """Policy name -> attachment and path of its file."""
 _BUDGET = Budget(attempts_per_draw=1, draws=1)
-"""One attempt, because an episode without success is a result, too, and is not repeated."""
+"""Each task has one attempt, because an episode without success is a result, too."""
 
 
 def number_tasks(campaign: Campaign) -> Mapping[int, EvalTask]:
@@ -80,7 +80,7 @@ def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attac
         campaign: campaign to run.
         plan: plan of the dataset.
         tasks: tasks of the campaign.
-        attached: files of its policies.
+        attached: files of the campaign's policies.
 
     Raises:
         UsageError: A scene of the specs is not in the dataset.

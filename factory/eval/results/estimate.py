@@ -28,7 +28,7 @@ class IntervalEstimate(Model):
     """Mean; `None` without values."""
     low: float | None
     high: float | None
-    """Ends of the interval; `None` for fewer than two values, or where BCa is not defined."""
+    """`low` and `high` are the ends of the interval; `None` for fewer than two values, or if BCa is not defined."""
 
 
 NO_VALUES = IntervalEstimate(n=0, mean=None, low=None, high=None)
@@ -40,7 +40,7 @@ def mean_of(values: Sequence[float | None]) -> IntervalEstimate:
 
 
 def means_of(columns: Mapping[str, Sequence[float | None]]) -> dict[str, IntervalEstimate]:
-    """Returns the means of several columns of the same rows; resamples them together, which is faster."""
+    """Returns the means of several columns of the same rows; resamples the columns together, which is faster."""
     found: dict[str, IntervalEstimate] = {}
     full: dict[str, NDArray[np.float64]] = {}
     for name, column in columns.items():
@@ -68,7 +68,7 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
 
 
 def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
-    """Returns the estimate of equal values, whose interval is a point; a single value has no interval."""
+    """Returns the estimate of equal values: both ends of the interval are this value; one value has no interval."""
     if len(values) == 0:
         return NO_VALUES
     mean = float(values[0])

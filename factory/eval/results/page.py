@@ -39,7 +39,7 @@ _DASH = "–"
 
 @dataclass(frozen=True)
 class FailureExample:
-    """Failed episode with its video (MP4) and its last picture (JPEG)."""
+    """Failed episode with its video (MP4) and the last picture of the video (JPEG)."""
 
     row: EpisodeResult
     film: bytes
@@ -48,7 +48,7 @@ class FailureExample:
 
 @dataclass(frozen=True)
 class MeasureCell:
-    """Table cell: a value, its interval and, for a rate, the position of both in the bar."""
+    """Table cell: a value and its interval; for a rate, also their positions in a bar."""
 
     value: str
     interval: str = ""

@@ -23,7 +23,7 @@ from workers.sim.scene_renderer import SceneRenderer
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
 VIDEOS = "videos"
-"""Folder of the videos in the folder of a policy; a video is `SPEC.mp4`, its last picture `SPEC.jpg`."""
+"""Name of the folder of videos in the folder of a policy. A video is `SPEC.mp4`; `SPEC.jpg` is its last picture."""
 
 ProgressCallback = Callable[[int, int], None]
 """Called with the number of finished videos and the total."""
@@ -54,7 +54,7 @@ def publish(
 
 
 def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallback) -> dict[str, list[FailureExample]]:
-    """Returns the videos of each policy; reuses existing files."""
+    """Returns policy name -> failed episodes with their videos; draws a video only if its file does not exist."""
     chosen = {
         name: choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
         for name in campaign.policies

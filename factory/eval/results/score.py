@@ -49,7 +49,7 @@ MEANS: Mapping[str, str] = MappingProxyType(
         "num_steps": "num_steps",
     }
 )
-"""Field of `Score` -> field of `EpisodeResult` of which it is the mean."""
+"""Field of `Score` -> field of `EpisodeResult` whose mean it contains."""
 ALL = "all"
 GROUNDED = "two or more categories in view"
 
@@ -64,7 +64,7 @@ class Score(Model):
     success: Share
     """SR: share of episodes that stopped within the success radius of the target."""
     any_instance: Share
-    """SR for the target or any other object of its category."""
+    """SR if every object of the target's category counts as the target."""
     collision: Share
     """Share of episodes that ended by the stall rule (paper Sec. VII)."""
     timeout: Share
@@ -73,10 +73,10 @@ class Score(Model):
     contact: Share
     """Share of episodes with a contact other than the floor."""
     ne_m: IntervalEstimate
-    """NE by the success measure."""
+    """Mean NE by the success measure."""
     ne_centroid_m: IntervalEstimate = NO_VALUES
     ne_surface_m: IntervalEstimate = NO_VALUES
-    """NE by the footprint, of the episodes whose scene records one."""
+    """Mean NE to the footprint, over the episodes whose scene records footprints."""
     trajectory_length_m: IntervalEstimate
     spl: IntervalEstimate
     soft_spl: IntervalEstimate
@@ -147,7 +147,10 @@ class Evaluation(Model):
 
 
 def _pattern_group(template_id: str) -> str:
-    """Returns the group of a template: itself if the paper has it, else language and register, such as `en_polite`."""
+    """Returns the group of a template: a template of the paper is a group; others are grouped by language and register.
+
+    The name of a group of other templates has the form `en_polite`.
+    """
     return template_id if template_id in TEMPLATES else template_id.rpartition("_")[0] or template_id
 
 
@@ -161,7 +164,7 @@ _KEYS: Mapping[str, tuple[Callable[[EpisodeResult], str], Sequence[str]]] = Mapp
         "view": (lambda row: GROUNDED if row.is_grounded else "fewer", (GROUNDED, "fewer")),
     }
 )
-"""Kind of group -> function that returns the group of a row, and the groups that come first, in this order."""
+"""Kind of group -> function that returns the group of a row, and the groups that are listed first, in this order."""
 
 
 def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote) -> PolicyScores:

@@ -25,7 +25,8 @@ from workers.render import Renderer
 FILM_RATE = Fraction(8)
 """Frame rate of the videos, pictures per second."""
 FILM_CRF = 28
-"""Constant rate factor of x264: about 10 kB per second at standstill and 60 kB while driving, 640 pixels wide."""
+"""Constant rate factor of x264. A video takes about 10 kB per second at standstill and 60 kB per second while the
+robot drives."""
 _SIDE_PX = 320
 _FRAMES = 36
 _POSTER_QUALITY = 80
@@ -35,7 +36,7 @@ _TRACK, _START, _GOAL = (20, 80, 220), (20, 160, 60), (220, 30, 30)
 
 
 def choose_failures(results: Sequence[EpisodeResult], count: int) -> list[EpisodeResult]:
-    """Returns at most `count` failures with as many different ends as possible, in the order of the results."""
+    """Returns at most `count` failures in the order of the results; prefers failures with different ends."""
     by_end: dict[str, list[EpisodeResult]] = {}
     for row in results:
         if not row.success:

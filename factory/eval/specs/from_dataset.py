@@ -154,7 +154,7 @@ def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, fl
         is_here = math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
         return is_here and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
 
-    # replaces the check of the start view, so no view is rendered
+    # instead of the check of the start view, which would render the view, compare with the recorded pose
     accepts = is_recorded if meta.job.start_view else (lambda _pose: True)
     draws = draw_poses(meta.job, target, place, meta.job.rng(), accepts)
     found = next(filter(is_recorded, draws), None)

@@ -135,7 +135,7 @@ def _spec(
             if aim is None:
                 continue
             drawn, target, said = _described(aim.job, pose), aim.target, aim.said
-            if aim.choices:  # measure the distance to the drawn target
+            if aim.choices:  # the target was drawn: measure the distance to it
                 view = simulator.reset(drawn, place)
             if said is not None:
                 drawn = drawn.model_copy(update={"instruction": said.text, "template_id": said.template_id})
@@ -177,7 +177,7 @@ def _described(job: Job, pose: Start) -> EvalSpec:
 def _draw_poses(job: Job, place: LoadedScene, stage: SceneRenderer) -> Iterator[Start]:
     """Yields free poses on the connected floor whose view meets the conditions of the instruction.
 
-    Yields at most `physics_draws` poses; an attempt of data collection tests as many in the physics simulation.
+    Yields at most `physics_draws` poses. An attempt of data collection tests the same number in the simulation.
     """
     stage.renderer.load(place.scene, job.camera)
     rng = np.random.default_rng(np.random.SeedSequence((job.root_seed, _DRAW_STREAM, job.index, job.draw)))

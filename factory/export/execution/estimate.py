@@ -33,7 +33,7 @@ class ExportEstimate(Model):
     bytes: int
     """Expected size of the export, bytes."""
     peak_bytes: int
-    """Expected peak disk use, bytes; formats that join episodes temporarily store them twice."""
+    """Expected peak disk use, bytes. If the format joins pieces, both the pieces and the joined files need space."""
     seconds: float
     """Expected wall time with `workers` processes on as many cores, seconds."""
     workers: int
@@ -84,7 +84,7 @@ def estimate_export(order: ExportOrder) -> ExportEstimate:
 
 
 def _measure(order: ExportOrder, dataset: Dataset) -> tuple[str, int, int, float]:
-    """Returns id, frames, bytes and seconds of the first readable episode near the median length."""
+    """Exports the first readable episode near the median length; returns its id, frames, bytes and seconds."""
     said = ""
     for name in _by_nearness_to_the_median(dataset)[:_TRIES]:
         with tempfile.TemporaryDirectory(prefix="export-") as place:

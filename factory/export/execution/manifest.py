@@ -20,7 +20,10 @@ MANIFEST_FILE = "export.json"
 
 
 class Source(Model):
-    """Source of an export, equal for both kinds of recording. Exports of equal source, format and options are equal."""
+    """Source of an export, equal for a frames and a states recording of the same plan.
+
+    Exports of equal source, format and options are equal.
+    """
 
     run: str
     """Name of the run; for a states recording, the name that a frames recording of the same plan has."""

@@ -59,7 +59,7 @@ def _type_of(column: Column) -> pa.DataType:
             return value
         case (size,):
             return pa.list_(pa.field("element", value), size)
-    return pa.list_(pa.list_(value))  # storage of `datasets.Array2D`
+    return pa.list_(pa.list_(value))  # `datasets` stores an `Array2D` in this type
 
 
 def _described(column: Column, list_type: str) -> dict[str, Any]:

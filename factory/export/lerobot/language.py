@@ -24,7 +24,7 @@ _SAID = (
 _SHOWN = (pa.field("camera", pa.string()), pa.field("tool_calls", pa.list_(pa.string())))
 TYPE = pa.list_(pa.struct([*_SAID, pa.field("timestamp", pa.float32(), nullable=False), *_SHOWN]))
 EVENTS_TYPE = pa.list_(pa.struct([*_SAID, *_SHOWN]))
-"""Types of the columns (lerobot/datasets/language.py)."""
+"""`TYPE` is the type of `language_persistent`, `EVENTS_TYPE` of `language_events` (lerobot/datasets/language.py)."""
 _UNSPACED = frozenset({"zh"})
 """Languages without spaces between sentences."""
 

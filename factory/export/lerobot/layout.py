@@ -34,9 +34,9 @@ class ImageFeature(NamedTuple):
     width: int
     height: int
     file: str
-    """Name of the video in a piece; empty for an image."""
+    """File name of the video in a piece; empty for instance ids, which are not a video."""
     largest_m: float
-    """Upper end of the depth codes, metres."""
+    """Depth of the largest depth code, metres."""
     camera: Camera | None = None
     """Camera of the rig; `None` for the recorded camera."""
 
@@ -122,7 +122,7 @@ _COLUMNS: Mapping[str, Column] = {
     "timestamp": Column("float32"),
     **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), Column("int64")),
 }
-"""Numeric columns without a rig."""
+"""Numeric columns of an export without a rig."""
 
 
 def _images_of(camera: Camera, wanted: Mapping[CameraOutput, bool]) -> Iterator[ImageFeature]:
@@ -143,7 +143,7 @@ def largest_depth(camera: Camera) -> float:
 
 
 def _columns_of(rig: Rig) -> Iterator[tuple[str, Column]]:
-    """Yields the columns of a rig: its first odometry as the state, then those of its other sensors."""
+    """Yields the columns of a rig: the state from its first odometry, other sensors, then the rest of `_COLUMNS`."""
     wheels = [sensor for sensor in rig.sensors if isinstance(sensor, WheelOdometry)]
     yield STATE, _vector(STATE_NAMES, sensor=wheels[0] if wheels else None)
     for sensor in rig.sensors:

@@ -47,7 +47,7 @@ class DatasetStats:
 
 
 def _matrices(numbered: Numbered, layout: Layout) -> Iterator[tuple[str, Any]]:
-    """Yields the name and the values (N,) or (N, D) of each column; all ranges of scans as (N * rays,)."""
+    """Yields the name and the values (N,) or (N, D) of each column; for scans, the ranges of all frames (N * rays,)."""
     without_pictures = Layout(layout.videos, layout.columns)
     table = read_columns(numbered.piece.folder, numbered.numbers(), without_pictures)
     for name, column in layout.columns.items():

@@ -28,7 +28,7 @@ from schemas.rig import CameraOutput
 FRAMES_FILE = "frames.parquet"
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _NUMBERED_LATER = ("episode_index", "index", "task_index")
-_EVERY_PX = 4  # LeRobot computes statistics from every fourth row and column of images of this size
+_EVERY_PX = 4  # statistics use every fourth row and column, as LeRobot does for images of 640 x 640 pixels
 _CODECS = {CameraOutput.RGB: RGB_CODEC, CameraOutput.DEPTH: DEPTH_CODEC}
 _LARGEST = {CameraOutput.RGB: 255, CameraOutput.DEPTH: LARGEST_CODE, CameraOutput.IDS: 65535}
 
@@ -95,7 +95,7 @@ class _FrameSource:
         return self._codes
 
     def png(self) -> bytes:
-        """Returns the ids as PNG; for the recorded camera, the bytes are those of a recording of frames."""
+        """Returns the ids as PNG; for the recorded camera, the bytes equal those in a frames recording."""
         if self._reader is None:
             return self._episode.stored(f"seg_front/{self._t:06d}.png")
         return encode_png(self.codes())
@@ -159,7 +159,7 @@ def _column(values: NDArray[np.generic], kind: pa.DataType) -> pa.Array:
 
 
 def _ragged(values: pa.Array, size: int) -> pa.ListArray:
-    """Returns lists of `size` values each."""
+    """Returns the values divided into lists of `size` values."""
     return pa.ListArray.from_arrays(pa.array(np.arange(0, len(values) + 1, size), pa.int32()), values)
 
 

@@ -43,7 +43,7 @@ def vector_stats(values: NDArray[np.generic]) -> Stats:
 
 
 class ImageCounts(Model):
-    """Histogram of sampled frames per channel, from which statistics are computed."""
+    """Histogram of each channel over the sampled frames; the statistics are computed from it."""
 
     samples: int
     """Number of sampled frames."""

@@ -37,8 +37,9 @@ MODALITY: dict[str, dict[str, dict[str, Any]]] = {
     "video": {"front": {"original_key": RGB}},
     "annotation": {"human.task_description": {"original_key": "task_index"}},
 }
-"""Names of the parts of state and action, and the columns of camera and instruction. The actions are not `absolute`,
-so GR00T pads them after the last frame with zeros, which stop the robot, and not with the last value."""
+"""Content of `modality.json` for the recorded camera: the parts of state and action, and the columns of the camera and
+of the instruction. The actions are not `absolute`. Therefore, GR00T pads them after the last frame with zeros, which
+stop the robot, instead of the last value."""
 
 
 class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):
@@ -90,7 +91,7 @@ def _place(dataset: LeRobotExport, numbered: Numbered) -> None:
     if not dataset.out.has(data):
         with dataset.out.replacing(data) as part:
             table = read_columns(numbered.piece.folder, numbered.numbers(), dataset.layout)
-            table = table.cast(data_schema(dataset.layout, "Sequence"))  # LeRobot 0.3 uses version 3 of `datasets`
+            table = table.cast(data_schema(dataset.layout, "Sequence"))  # LeRobot 0.3: `datasets` 3 has no `List`
             pq.write_table(table, part, compression="snappy")
     for image in dataset.layout.videos:
         video = _path(_VIDEO_PATH, numbered, image.key)
@@ -114,7 +115,10 @@ def _write_lists(dataset: LeRobotExport, stats: DatasetStats) -> None:
 
 
 def _without_counts(stats: Stats) -> Stats:
-    """Returns the statistics without `count`, because GR00T slices every statistic by the parts of state and action."""
+    """Returns the statistics without `count`.
+
+    GR00T divides every statistic into the parts of state and action, but `count` has only one value.
+    """
     return {key: {name: value for name, value in found.items() if name != "count"} for key, found in stats.items()}
 
 

@@ -42,7 +42,7 @@ _FILE = "chunk-{:03d}/file-{:03d}"
 _TEMPLATE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _SCALAR, _NESTED = pa.list_(pa.float64()), pa.list_(pa.list_(pa.list_(pa.float64())))
 Places = dict[int, tuple[int, int, float]]
-"""Episode -> chunk, file, and offset in the file, seconds."""
+"""Episode index -> chunk index, file index, and start time in the video file, seconds (0 for a data file)."""
 
 
 class FileLimits(NamedTuple):
@@ -134,7 +134,8 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
     places: Places = {}
     schema = data_schema(dataset.layout)
     for name, kind in _language_types(dataset).items():
-        schema = schema.append(pa.field(name, kind)).remove_metadata()  # readers take the features from info.json
+        # the metadata for `datasets` does not describe the language columns; readers take the features from info.json
+        schema = schema.append(pa.field(name, kind)).remove_metadata()
     for number, group in enumerate(_grouped(dataset.numbering, FRAMES_FILE, limits.data_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}

@@ -54,7 +54,7 @@ class TopicMessage(NamedTuple):
     topic: str
     values: Mapping[str, Any]
     kind: str = ""
-    """Message type, if the profile does not list the topic."""
+    """Message type; empty if the profile lists the topic with its type."""
 
 
 def stamp_of(t: int, hz: int) -> int:

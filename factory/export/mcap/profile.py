@@ -46,7 +46,7 @@ class Profile:
     """Profile of an MCAP file: topics, schemas, encoding and messages."""
 
     name: str
-    """Profile in the header of the file; ROS 2 readers require `ros2`."""
+    """Name of the profile in the header of the file; ROS 2 readers require `ros2`."""
     schema_encoding: str
     message_encoding: str
     topics: Mapping[str, str]
@@ -58,9 +58,9 @@ class Profile:
     static_messages: Callable[[Episode, CompiledScene, int], Iterator[TopicMessage]]
     """Episode, scene and time of frame 0 (nanoseconds) -> messages that are published once."""
     frame_messages: Callable[[Episode, int, int, NDArray[np.float64], bool], Iterator[TopicMessage]]
-    """Episode, frame, time of the frame, measured twist (2,) and whether to add images -> messages of the frame."""
+    """Episode, frame, its time (nanoseconds), measured twist (2,), whether to add images -> messages of the frame."""
     sensor_messages: Callable[[SensorReader, Sensor, int, int], Iterator[TopicMessage]]
-    """Sensors of an episode, one sensor, step and time of its measurement (nanoseconds) -> messages."""
+    """Reader of an episode, sensor, step and time of its measurement (nanoseconds) -> messages of the measurement."""
     facts_of_topic: Callable[[str], dict[str, str]] = lambda _topic: {}
     """Topic -> metadata of its channel."""
 

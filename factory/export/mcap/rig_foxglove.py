@@ -22,7 +22,7 @@ from workers.sensors import ImuMeasurements, OdometryMeasurements
 from workers.sensors.lidar import ray_azimuths
 
 _TYPES = {"<f4": 7, "<u2": 3}
-"""Type -> number of foxglove.PackedElementField."""
+"""NumPy type -> number of the type in foxglove.PackedElementField."""
 _ENCODINGS = {"depth": "32FC1", "ids": "16UC1", "normals": "32FC3", "flow": "32FC2"}
 _ORIGIN = pose_of((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 

@@ -30,7 +30,7 @@ class FrameLink(NamedTuple):
 
 
 def frame_of(sensor: Sensor) -> str:
-    """Returns the frame that the measurements of a sensor refer to; that of odometry is base_link at the start."""
+    """Returns the frame of the measurements of a sensor. For odometry, it is the pose of base_link at the start."""
     if isinstance(sensor, WheelOdometry):
         return f"{sensor.name}_start"
     return f"{sensor.name}_optical_frame" if isinstance(sensor, Camera) else f"{sensor.name}_link"

@@ -12,11 +12,11 @@ from schemas.rig import Lidar3d
 from workers.sensors import LidarScan, points_of
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("id", "<u2")])
-"""Point in the sensor frame, metres, with its scan line from the top and the instance id of the surface."""
+"""Coordinates in the sensor frame (metres), index of the scan line (0 is the top line), instance id of the surface."""
 
 
 def fields_of(types: Mapping[str, int]) -> list[tuple[str, int, int]]:
-    """Returns name, offset in bytes and type number of each field of a point; `types` has the numbers of a profile."""
+    """Returns name, offset in bytes and type number of each field of a point; `types` maps NumPy types to numbers."""
     fields: Mapping[str, Any] = POINT.fields or {}
     return [(name, fields[name][1], types[fields[name][0].str]) for name in POINT.names or ()]
 

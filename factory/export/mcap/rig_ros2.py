@@ -20,10 +20,10 @@ from workers.sensors import ImuMeasurements, OdometryMeasurements
 from workers.sensors.lidar import ray_azimuths
 
 _TYPES = {"<f4": 7, "<u2": 4}
-"""Type -> number of sensor_msgs/PointField."""
+"""NumPy type -> number of the type in sensor_msgs/PointField."""
 _ENCODINGS = {"depth": "32FC1", "ids": "mono16", "normals": "32FC3", "flow": "32FC2"}
 _NO_ORIENTATION = (-1.0, *(0.0,) * 8)
-"""Covariance of a missing orientation, see sensor_msgs/Imu."""
+"""Covariance that means "no orientation" in sensor_msgs/Imu."""
 
 
 def sensor_messages(reader: SensorReader, sensor: Sensor, t: int, stamp_ns: int) -> Iterator[TopicMessage]:

@@ -10,7 +10,7 @@ import numpy as np
 
 _DTYPES = {"octet": "uint8", "char": "uint8", "byte": "uint8"}
 _BASE, _NAME = 1, 2
-"""Values of `rosbags.interfaces.Nodetype`; 3 is an array, 4 a sequence."""
+"""Values of `rosbags.interfaces.Nodetype` for a base type and a message type; 3 is an array, 4 a sequence."""
 
 
 def encode(kind: str, values: Mapping[str, Any]) -> bytes:
@@ -38,7 +38,7 @@ def definition_of(kind: str) -> bytes:
 def _store() -> Any:
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE)  # the definitions used here are equal in Jazzy
+    return get_typestore(Stores.ROS2_HUMBLE)  # Jazzy has the same definitions of the types used here
 
 
 def _message(store: Any, kind: str, values: Mapping[str, Any]) -> Any:

@@ -24,9 +24,9 @@ class Intrinsics(NamedTuple):
     matrix: tuple[float, ...]
     """(9,) camera matrix, row by row."""
     is_fisheye: bool
-    """Whether the distortion is that of `cv2.fisheye`; otherwise Brown-Conrady."""
+    """Whether `distortion` belongs to the model of `cv2.fisheye`; otherwise, it belongs to Brown-Conrady."""
     distortion: tuple[float, ...]
-    """k1, k2, p1, p2, k3, or k1 to k4 of `cv2.fisheye`."""
+    """Coefficients: k1 to k4 for `cv2.fisheye`; otherwise k1, k2, p1, p2, k3."""
 
     @property
     def projection(self) -> tuple[float, ...]:

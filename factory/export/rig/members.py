@@ -32,7 +32,7 @@ MEMBERS_TEXT = """\
 
 
 def rig_members(reader: SensorReader, steps: Sequence[int]) -> Callable[[Episode, int], Iterator[tuple[str, bytes]]]:
-    """Returns a function that yields suffix and bytes of the members at one of the exported steps.
+    """Returns a function that yields suffix and bytes of each member of the sample of an exported step.
 
     All samples have the same suffixes, which the streaming readers require.
     """

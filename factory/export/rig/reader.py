@@ -25,7 +25,7 @@ class _Kept(NamedTuple):
 
 
 class SensorReader:
-    """Measurements of the rig of an episode; each image and scan is computed once if steps ascend.
+    """Measurements of the rig of an episode. If they are read in the order of the steps, each is computed only once.
 
     Raises:
         UsageError: the episode has no rig.
@@ -33,13 +33,13 @@ class SensorReader:
 
     def __init__(self, episode: Episode) -> None:
         self.motion: dict[str, Motion] = episode.motion()
-        """Measurements of IMUs and odometry over the whole episode, by name."""
+        """Measurements of IMUs and odometry over the whole episode, by name of the sensor."""
         assert episode.rig is not None, "`Episode.motion` returned for an episode without a rig"
         self.rig: Rig = episode.rig
         self.hz: int = episode.meta.job.task.control_hz
         """Control rate, steps per second."""
         self.strides = {sensor.name: sensor.stride(self.hz) for sensor in self.rig.sensors}
-        """Control steps between two measurements, by name."""
+        """Number of control steps between two measurements, by name of the sensor."""
         self._episode = episode
         self._kept: dict[str, _Kept] = {}
 
@@ -64,7 +64,7 @@ class SensorReader:
     def arrays(self, sensor: Camera | Lidar2d | Lidar3d, t: int) -> dict[str, Array]:
         """Returns the latest outputs of a camera, or `ranges` and `ids` of a lidar, at or before step t.
 
-        The flow of the last image, which has no later one, is NaN.
+        The flow of the last image is NaN, because no image follows.
         """
         found = self.latest(sensor.name, t)
         if isinstance(found, LidarScan):
@@ -75,7 +75,7 @@ class SensorReader:
 
 
 def arrays_of(motion: Motion) -> dict[str, Array]:
-    """Returns the measurements of an IMU or of odometry over an episode by name; each has N rows."""
+    """Returns the arrays that an IMU or odometry measured in an episode, by name; one row for each measurement."""
     if isinstance(motion, ImuMeasurements):
         return {"angular_velocity": motion.angular_velocity, "specific_force": motion.specific_force}
     return {"ticks": motion.ticks, "poses": motion.poses, "twists": motion.twists}

@@ -98,9 +98,9 @@ def scene_file(scene: str) -> str:
 
 
 def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[tuple[float, float]]:
-    """Returns the points from which Habitat measures success: the centroid, or points of the footprint's edge.
+    """Returns the goals x, y: the centroid of the target, or its edge points if success is measured to the footprint.
 
-    Habitat uses the nearest of several goals. The first is the one nearest to the end of the track.
+    Habitat measures the distance to the nearest goal. The first goal is the one that is nearest to the last pose.
     """
     if meta.job.task.success is SuccessMeasure.CENTROID:
         return [meta.target_centroid_m[:2]]

@@ -101,7 +101,7 @@ def _write_once(out: Output, name: str, parts: Iterator[str]) -> None:
     with (
         out.replacing(name) as part,
         part.open("wb") as file,
-        # the header has no name and no time, so equal episodes give equal files
+        # the gzip header has no name and no time, so equal episodes give equal files
         gzip.GzipFile(filename="", mode="wb", fileobj=file, compresslevel=_GZIP_LEVEL, mtime=0) as packed,
     ):
         for text in parts:
@@ -182,7 +182,7 @@ def _mesh_of(scene: CompiledScene, layer: int, name: str) -> Any:
 def _complete(tree: dict[str, Any]) -> None:
     """Adds unlit materials and 16-bit vertex colours, which trimesh does not write.
 
-    trimesh writes the attribute `COLOR_0` as application-specific, with an underscore and not normalized.
+    trimesh writes the colours as the application-specific attribute `_COLOR_0`, without the flag `normalized`.
     """
     tree["extensionsUsed"] = [_UNLIT]
     for material in tree["materials"]:

@@ -29,7 +29,7 @@ class RunFacts:
     detour_m: float
     detour_std_m: float | None
     geodesic_m: float | None
-    """Mean geodesic distance to the success region over the episodes that have one, metres."""
+    """Mean geodesic distance to the success region over the episodes that record this distance, metres."""
     tiers: dict[str, float]
     """Tier -> share, 0..1."""
 

@@ -14,7 +14,7 @@ from schemas.terms import ExpertName, Screening, Split, Tier
 
 
 def explain_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
-    """Explains the mean TL as start distance - NE + detour. The paper prints no start distance; TL + NE is used."""
+    """Explains the mean TL as start distance - NE + detour. The start distance of the paper is estimated: TL + NE."""
     implied = published_tl_m + published_ne_m
     return (
         f"The mean start distance is {facts.spawn_m:.2f} m, and {implied:.2f} m in the paper (TL + NE, which assumes "

@@ -10,7 +10,8 @@ from factory.visualize.floor_map import FloorMap
 from schemas.dataset.rows import EpisodeSummary
 
 _BESIDE_IN, _ABOVE_IN = 0.45, 0.95
-"""Width of the axis labels; height of axis labels, title and legend, inches."""
+"""`_BESIDE_IN`: width of the labels of the y axis. `_ABOVE_IN`: height of the labels of the x axis, title and legend.
+Both are in inches."""
 _LEAST_IN, _MOST_IN = 1.5, 7.0
 
 

@@ -14,9 +14,9 @@ from factory.report.drawing.text import DASH, number, percent
 from factory.stats.model import Interval
 
 _TIMES = 2.0
-"""Ratio of `ours` to the published value from which a difference is given as a factor instead of per cent."""
+"""Threshold of `ours` divided by `published`: from it, the difference is shown as a factor instead of per cent."""
 _ROWS_SHOWN = 8
-"""Maximum number of rows of a table that is initially open."""
+"""A table with at most this number of rows is initially open."""
 Cells = Sequence[tuple[str, bool]]
 """Text of each cell, and whether its column is numeric and right-aligned."""
 

@@ -109,7 +109,7 @@ _PAPER = (
 BUILTIN_SCENES: Mapping[str, BuiltinScene] = MappingProxyType({scene.name: scene for scene in _FAMILIES})
 """The families of layouts by name."""
 PAPER_LAYOUTS: Mapping[str, BuiltinScene] = MappingProxyType({scene.name: scene for scene in _PAPER})
-"""The four layouts of the paper by name, which have the seed 0."""
+"""The four layouts of the paper, by scene name. Each is the layout of its scene for seed 0."""
 
 
 def author_scene(scene: BuiltinScene, seed: int, directory: Path) -> Path:

@@ -22,12 +22,12 @@ _SPARE = (1.0, 1.3)
 """Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at
 least 1, because rooms in rows of unsuitable depth become larger than desired."""
 _RATIO = (0.75, 1.33)
-"""Smallest and largest quotient of width / depth of a building and width / depth of the available floor."""
+"""Range of the random factor between width / depth of the available floor and width / depth of a building."""
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""Largest total change of the widths of the rooms in a row, as a share of the change that their limits permit. Widths
-change to fill the length of the row."""
+"""The widths of the rooms in a row are changed to fill the length of the row. If this needs more than this share of the
+change that the limits of all rooms permit, the rooms do not fit."""
 _STEPS = 24
 """Number of steps of the bisection that finds the scale of a floor."""
 
@@ -242,12 +242,13 @@ def _least_width(spec: RoomSpec, depth: float) -> float:
 
 
 def _width(spec: RoomSpec, depth: float) -> float:
-    """Returns the width of a room in a row of a given depth, metres: that of its desired area, if its limits permit."""
+    """Returns the width in metres that gives a room in a row its desired area, changed to a width that its limits
+    permit."""
     return min(max(spec.area_m2 / depth, _least_width(spec, depth)), max(SLENDER * depth, spec.least_m))
 
 
 def _floor_of(areas: Sequence[Rectangle]) -> float:
-    """Returns the sum of the areas; 0 if one of them has no extent because its halls do not fit on the floor."""
+    """Returns the sum of the areas; 0 if one has no width or depth, because the halls do not fit on the floor."""
     total = 0.0
     for x0, y0, x1, y1 in areas:  # one loop over the corners, because a floor is divided thousands of times
         width, depth = x1 - x0, y1 - y0
@@ -262,7 +263,10 @@ def _moved(area: Rectangle, floor: Rectangle) -> Rectangle:
 
 
 def _deal(rng: Generator, specs: Specs, areas: Sequence[Rectangle]) -> list[Specs] | None:
-    """Assigns rooms to rows in the blocks, each to a row in which its area changes little; `None` if that fails."""
+    """Returns the rooms of each block, in which they form a row; `None` if the rooms do not fit.
+
+    Each room gets a block in which its area changes little.
+    """
     depths = [min(area.width, area.depth) for area in areas]
     spare = [max(area.width, area.depth) for area in areas]
     dealt: list[list[RoomSpec]] = [[] for _ in areas]

@@ -1,4 +1,4 @@
-"""Draws the textures of authored scenes, each once for a scene cache. Does not define what they look like."""
+"""Draws the textures of authored scenes, or reads them from the scene cache. Does not define what they look like."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class DrawnTextures:
     """Textures that are read from the scene cache, or drawn and written to it.
 
     Args:
-        cache: folder of packages; the files of textures are in the folder beside them.
+        cache: folder of packages; it contains the folder of the texture files.
         version: version of the authoring.
     """
 

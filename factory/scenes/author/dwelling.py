@@ -51,7 +51,7 @@ class BuildingLook:
         trim: trim of the walls.
         leaf: material of the door leaves.
         ceiling: style of the ceilings, see `build_ceiling`.
-        views: variants of the windows to the south and west, and to the north and east.
+        views: variant of the windows to the south and west, and variant of the windows to the north and east.
         height: height of the walls and of the ceilings, metres.
     """
 

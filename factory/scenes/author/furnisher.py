@@ -18,13 +18,14 @@ _WALL_ROW_DEPTH_M = 0.66
 _THING_M = 0.34
 """Width reserved for each small object on furniture, metres."""
 _VARIANTS = 32_760
-"""Common multiple of the numbers of variants, so each variant is equally probable."""
+"""Common multiple of the numbers of variants of all models. A random number below it selects each variant of a model
+with equal probability."""
 _FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
-"""Number of variants that one building uses; it is small, because each variant has its own texture."""
+"""Number of variants of a model that one building uses; it is small, because each variant has its own texture."""
 _JOINT_M = 0.8
-"""Distance along a side from an opening without a wall within which nothing is mounted, metres."""
+"""Nothing is mounted within this distance of the joint of two parts of a hall, where there is no wall, metres."""
 _DOOR_M = 2.0
-"""Distance along a wall from the centre of an opening within which nothing is mounted, metres."""
+"""Nothing is mounted on a wall within this distance of the centre of a door, metres."""
 
 
 class Furnisher:

@@ -47,7 +47,7 @@ def loft(rings: Floats) -> AuthoredMesh:
     """Builds a loft through a stack of rings, with both ends closed.
 
     Args:
-        rings: (m, n, 3) metres; each ring counter-clockwise seen from the end of the stack.
+        rings: (m, n, 3) metres; each ring counter-clockwise seen from beyond the last ring.
     """
     counts, indices = _loft_faces(*rings.shape[:2])
     return AuthoredMesh(rings.reshape(-1, 3).astype(np.float64), counts, indices)

@@ -19,7 +19,7 @@ _WORK_CHAIRS = ("SM_ChairOffice_A", "SM_ChairOffice_A", "SM_ChairExecutive_B")
 _SEAT_M = 0.62
 """Length of a table edge that each chair takes, metres."""
 _SIGN_M = 0.16
-"""Height of the sign above an entrance, in addition to that of a sign above a door, metres."""
+"""Distance by which the sign above an entrance is higher than a sign above a door, metres."""
 _ENTRY_M = 1.0
 """Depth of the floor before an entrance that stays clear, metres."""
 

@@ -28,11 +28,11 @@ from factory.scenes.author.room import Doorway
 from schemas.errors import WorldError
 
 _TRIES, _OUTLINES = 600, 4
-"""Divisions tried for one outline, and number of outlines of the same floor area."""
+"""Number of divisions that are tried for each outline, and number of outlines; all have the same floor area."""
 _GIVE = (0.8, 1.25)
-"""Range of the quotient of the floor area of a room in one division and the area of its spec."""
+"""For each division that is tried, the desired area of each room is multiplied by a random factor in this range."""
 _END_M = 0.45
-"""Least distance between an opening and the end of the common wall, metres."""
+"""Least distance between an opening and an end of the wall that two rooms share, metres."""
 
 
 class Opening(NamedTuple):
@@ -179,8 +179,8 @@ def _common_wall(one: Rectangle, two: Rectangle) -> tuple[bool, float, float, fl
 def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle], doors: Doors) -> list[Opening] | None:
     """Returns the openings of all rooms; `None` if a room cannot be entered.
 
-    These are the joints of the hall, a spanning tree of openings of which each has a hub on at least one side, and
-    random additional openings between hubs.
+    These are the joints of the hall, a spanning tree of openings, and random additional openings between hubs. Each
+    opening has a hub on at least one side.
     """
     pairs = [(i, j) for i, j in combinations(range(len(specs)), 2) if specs[i].is_hub or specs[j].is_hub]
     order = [pairs[k] for k in rng.permutation(len(pairs))]

@@ -315,10 +315,10 @@ def footprint(model: PropModel, x: float, y: float, yaw: float) -> Rectangle:
 
 
 def wall_pose(model: PropModel, room: Rectangle, side: str, along: float, gap: float) -> tuple[float, float, float]:
-    """Returns the position and yaw of a model with its back to a wall, at share `along`, 0..1, of the usable length."""
+    """Returns the position and yaw of a model with its back to a wall, at `along`, 0..1, of the usable length."""
     half = float(max(model.high[0], -model.low[0]))
     back = float(model.high[1]) + gap
-    if gap > 0.0 and half < SMALL_HALF_WIDTH_M and model.low[2] < 0.1:  # wall-mounted models touch the wall
+    if gap > 0.0 and half < SMALL_HALF_WIDTH_M and model.low[2] < 0.1:  # not for wall-mounted models
         back = max(back, SMALL_STANDOFF_M)
     if side in "NS":
         x = room.x0 + half + along * max(room.width - 2 * half, 0.0)

@@ -50,7 +50,7 @@ _SURROUNDINGS = (
     ("ViewSnow",),
     ("ViewDesert",),
 )
-"""Groups of views that suit each other, for the sides of one building; each view is in one group."""
+"""Groups of views that suit each other. The windows of a building show views of one group."""
 
 
 class Finishes(NamedTuple):
@@ -102,7 +102,7 @@ class Palette(NamedTuple):
     leaf: SurfaceMaterial
     ceiling: str
     views: tuple[int, int]
-    """Variants of the windows to the south and west, and to the north and east."""
+    """Variant of the windows to the south and west, and variant of the windows to the north and east."""
     curtain: int
     wood: int
     """Variant of the wooden furniture."""
@@ -111,7 +111,7 @@ class Palette(NamedTuple):
     rugs: tuple[str, ...]
     """Textures of the rugs."""
     art: int
-    """First variant of the pictures and of the tapestry."""
+    """First of the variants of pictures and tapestries that the building uses."""
 
 
 def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:

@@ -101,7 +101,11 @@ def _brightness(parts: Sequence[Part], book: TextureBook) -> NDArray[np.float64]
 
 
 def _uvs(part: Part, layer: int) -> NDArray[np.float64]:
-    """Returns texture coordinates (3 T, 2), each triangle shifted by whole repeats to near zero for float precision."""
+    """Returns texture coordinates (3 T, 2).
+
+    Those of each triangle are shifted by whole repeats of the texture to values near zero, which float32 stores more
+    exactly.
+    """
     if layer < 0 or part.uvs is None:
         return np.zeros((3 * len(part.triangles), 2))
     finite = np.nan_to_num(part.uvs, posinf=0.0, neginf=0.0)

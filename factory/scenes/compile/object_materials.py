@@ -13,8 +13,8 @@ from factory.scenes.importer import Part, Surface
 
 UNKNOWN = "unknown"
 _MOST, _VISIBLE = 0.6, 0.05
-"""Smallest share of the surface of an object that a material must cover to be its main material, and to be listed as
-another material."""
+"""The main material of an object covers at least the first share of its surface. Every other listed material covers at
+least the second share."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _SUBSTANCES = MappingProxyType(
     {

@@ -24,8 +24,8 @@ _EYE_M = 0.35
 _REACH_M = 200.0
 _DIRECTIONS = 48
 _MOST_BACKS, _STEP_M = 6, np.float32(1e-3)
-"""Number of back faces after which a ray is treated as if it had hit a front face, and the distance behind each back
-face at which the ray continues, metres."""
+"""A ray continues behind each back face that it meets, at the second number, metres. After the first number of back
+faces, it is treated as if it had hit a front face."""
 _SIDES = (0.62, 0.54, 0.57)
 """Direction that divides the triangles into two sets, so the two coincident faces of a double-sided wall are in
 different sets. Rays are cast against each set, because a ray may hit either face first."""

@@ -39,7 +39,8 @@ def texture_layer(part: Part, book: TextureBook) -> int:
 
 
 def _base(part: Part, book: TextureBook) -> Floats:
-    """Returns a linear colour broadcastable to (T, 3, 3): the factor of the texture, or the colour without one."""
+    """Returns the linear colour of a part, broadcastable to (T, 3, 3). If the part has a texture layer, it is the
+    factor by which the texture is multiplied."""
     surface = part.surface
     tint = np.array(surface.colour)
     if surface.texture and texture_layer(part, book) < 0:
@@ -61,7 +62,7 @@ def corner_colours(part: Part, book: TextureBook) -> NDArray[np.uint8]:
 
 
 def glow_brightness(part: Part, book: TextureBook) -> float:
-    """Returns the emitted linear luminance, 0..1, of a part: of its emission, else of its texture."""
+    """Returns the linear luminance that a part emits, 0.01..1: that of its emission colour, else of its base colour."""
     colour = np.array(part.surface.emission)
     if not colour.any():
         colour = np.array(part.surface.colour) * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
@@ -69,7 +70,7 @@ def glow_brightness(part: Part, book: TextureBook) -> float:
 
 
 def reflectance(part: Part, book: TextureBook) -> Floats:
-    """Returns the linear luminance (T,), 0..1, of the triangles of a part in full light; the mean for textures."""
+    """Returns the linear luminance (T,), 0..1, of the triangles of a part in full light, with the mean of a texture."""
     linear = np.broadcast_to(_base(part, book), part.triangles.shape).mean(axis=1)
     if texture_layer(part, book) >= 0:
         linear = linear * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))

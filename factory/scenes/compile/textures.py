@@ -98,7 +98,8 @@ def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Layer
 
 @lru_cache(maxsize=MAX_LAYERS)
 def _read(data: bytes) -> Layer:
-    """Returns the pixels of an image, read-only. The layouts that a process builds share textures."""
+    """Returns the pixels of an image, read-only. They are cached, because the layouts built in a process share
+    textures."""
     with Image.open(io.BytesIO(data)) as image:
         if max(image.size) > _MAX_SOURCE_PX:
             raise ValueError(f"{image.size[0]} x {image.size[1]} pixels")
@@ -120,7 +121,7 @@ def _eight_bit(image: Image.Image) -> Image.Image:
 
 
 def _largest(areas: Mapping[str, float], digest_of: Mapping[str, str], notes: list[str]) -> list[str]:
-    """Returns the digests that get a layer, in a stable order."""
+    """Returns the digests of the textures that get a layer, which cover the largest areas, in a stable order."""
     covered: dict[str, float] = {}
     for path, digest in digest_of.items():
         covered[digest] = covered.get(digest, 0.0) + areas[path]

@@ -97,7 +97,7 @@ class SceneFiles:
             raise WorldError(f"{self.root.name} refers to files that cannot be read; {lines}{remedy}")
 
     def textured(self, surface: Surface, folder: Path, reference: str, user: str) -> Surface:
-        """Returns a surface with a texture, or without it and with a note if the file is outside of the folders.
+        """Returns a surface with a texture. If its file is outside of the folders, omits the texture and adds a note.
 
         Args:
             surface: appearance without texture.

@@ -22,9 +22,9 @@ ROOT = "/World"
 """Path of the root of every scene that is not USD."""
 LIGHTS_NOTE = "lights of the file are not used; emissive materials light the scene"
 BROKEN = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RuntimeError)
-"""Exceptions of a reader on a malformed file; a RecursionError is a RuntimeError."""
+"""Exceptions that a reader raises for a malformed file. RuntimeError includes RecursionError."""
 LABEL_KEYS = ("semantic_label", "semantic", "category", "class", "label")
-"""Keys of extra data that contain a semantic label, the first has precedence."""
+"""Keys of extra data that can contain a semantic label, in order of precedence."""
 _UNSAFE = re.compile(r"[^\w.-]+")
 _COLLIDER_PREFIX = re.compile(r"^(ucx|ubx|usp|ucp)_", re.IGNORECASE)
 

@@ -166,7 +166,7 @@ def _textured(shader: Any, notes: list[str]) -> Surface:
 
 
 def _uv_of(found: Any | None) -> tuple[str, Affine | None]:
-    """Returns the texture coordinate primvar of a texture and the 2-D transform between them."""
+    """Returns the name of the primvar with the coordinates of a texture, and the 2-D transform of these coordinates."""
     affine: Affine | None = None
     for _ in range(_MAX_HOPS):
         sources = _sources(found) if found else []

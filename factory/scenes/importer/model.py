@@ -83,13 +83,13 @@ class Extraction:
     sha256: str
     """SHA-256 of the layers and textures of the stage."""
     files_sha256: str
-    """SHA-256 of the layers and textures with their paths relative to the root layer; swapped files change it."""
+    """SHA-256 of the layers and textures and of their paths relative to the root layer."""
     notes: tuple[str, ...]
     floor_m: float | None = None
     """Height of a floor to add, metres."""
     ceiling_m: float | None = None
     """Height above the floor of a ceiling to add, metres."""
     articulated: frozenset[str] = frozenset()
-    """Paths of objects with movable parts; parts of their category, such as drawers, are not separate objects."""
+    """Paths of objects with movable parts. Parts with the category of the object, such as drawers, belong to it."""
     images: Mapping[str, bytes | TextureRecipe] = field(default_factory=dict)
     """Encoded images that are part of another file, and textures to draw, by their name in `Surface.texture`."""

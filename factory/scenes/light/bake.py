@@ -27,12 +27,13 @@ FINE_SKY, FINE_LAMPS = (16, 64), (12, 24)
 _EVEN_STEPS = (1, 2)
 """Distances over which noise is averaged, texels."""
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
-"""Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
+"""Relative texel density of charts inside solid objects, which get a single texel, and of charts that no lamp
+reaches."""
 _FLOOR_M, _LEVEL = 0.1, 0.9
 """A chart gets contact shade if it is within this distance of the floor, metres, and the vertical component of its
 normal is above the second number. The second condition does not apply to curved charts."""
 _MIDDLE_GREY = 0.5
-"""Mean reflectance without exposure correction."""
+"""Reflectance of all surfaces if the caller does not give it."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detai
 
 
 def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps, coarse: float) -> Floats:
-    """Returns (C,) the texel density of each chart from a coarse pass: 1, or less for hidden or dark charts."""
+    """Returns (C,) the relative texel density of each chart, from a coarse pass; hidden and dark charts have less than
+    1."""
     layout = unwrap(charts, np.full(len(charts.area), coarse))
     grid = lay_texels(charts, bends, layout)
     texels, chart = grid.cast(), grid.chart[~grid.is_spare]

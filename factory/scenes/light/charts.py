@@ -18,7 +18,7 @@ from schemas.support.vectors import cross
 _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
 _PLANE_STEP_M = 0.02
-_PLANE_SHIFT = 0.37  # so that walls and floors, at round coordinates, are not on the boundary of two planes
+_PLANE_SHIFT = 0.37  # keeps walls and floors, often at round coordinates, off the boundary of two steps
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def find_charts(triangles: Floats, groups: Ints) -> Charts:
 
 
 def number_rows(rows: Ints) -> Ints:
-    """Returns (N,) the index of each row of (N, K) among the sorted unique rows."""
+    """Returns (N,) for each row of (N, K) its index in the sorted list of distinct rows."""
     order = np.lexsort(rows.T[::-1])
     is_new = np.any(rows[order[1:]] != rows[order[:-1]], axis=1)
     numbers = np.empty(len(rows), np.int64)
@@ -77,7 +77,7 @@ def number_rows(rows: Ints) -> Ints:
 
 
 def _touching(triangles: Floats, plane: Ints) -> Ints:
-    """Returns the connected component of each triangle; triangles that share corners in a plane are connected."""
+    """Returns the connected component of each triangle. Triangles of one plane that share a corner are connected."""
     count = len(triangles)
     corners = number_rows(np.rint(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64))
     nodes = number_rows(np.column_stack((corners, np.repeat(plane, 3))))
@@ -96,7 +96,7 @@ def _largest_of_each(of_triangle: Ints, areas: Floats) -> Ints:
 
 
 def _frames(triangles: Floats, normals: Floats) -> Floats:
-    """Returns frames along the second longest edge of each triangle; the longest may be the diagonal of a rectangle."""
+    """Returns a frame for each triangle, along its second longest edge; the longest may be a diagonal."""
     edges = np.roll(triangles, -1, axis=1) - triangles
     middle = np.argsort(np.linalg.norm(edges, axis=2), axis=1, kind="stable")[:, 1]
     along = edges[np.arange(len(edges)), middle]

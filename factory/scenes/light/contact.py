@@ -1,4 +1,4 @@
-"""Computes contact shadows of objects on the floor; few rays and coarse texels would miss those under thin legs.
+"""Computes contact shadows of objects on the floor. A few rays from coarse texels would miss those of thin legs.
 
 Pure functions. Does not use lamps.
 """
@@ -40,7 +40,10 @@ def contact_shade(triangles: Floats, floor_m: float, points: Floats, normals: Fl
 
 
 def _are_near(points: Floats, feet: Floats) -> Bools:
-    """Returns whether points (N, 2) may be within `_REACH_M` of feet (K, 2); compares grid squares of that size."""
+    """Returns whether points (N, 2) may be within `_REACH_M` of feet (K, 2).
+
+    Tests whether a foot is in the same or an adjacent square of a grid with a pitch of `_REACH_M`.
+    """
     low = np.minimum(points.min(axis=0, initial=np.inf), feet.min(axis=0)) - _REACH_M
     of_points, of_feet = (np.floor((places - low) / _REACH_M).astype(np.int64) for places in (points, feet))
     size = np.maximum(of_points.max(axis=0, initial=0), of_feet.max(axis=0)) + 2

@@ -18,7 +18,8 @@ from schemas.support.numpy_types import Floats, Ints
 from schemas.support.vectors import cross
 
 _ROUND_COS = math.cos(math.radians(46.0))
-"""Cosine of the maximum smooth angle: the sides of an octagon are smooth, those of a hexagon are not."""
+"""Cosine of the largest angle between faces that are shaded as one smooth surface. The sides of an octagon are smooth,
+those of a hexagon are not."""
 _MOST_AT_A_CORNER = 64
 _MOST_TRIANGLES = 1_000_000
 """Scenes with more triangles get flat normals, because their charts are smaller than texels."""
@@ -26,7 +27,7 @@ _WELD_M = 1e-4
 _BENT_COS = math.cos(math.radians(2.0))
 _AT_CORNER = 1e-6
 _BENT_SLOPE = 0.08
-"""Change of the unit normal along a side above which the side needs at least two texels."""
+"""A side of a chart gets at least two texels if the unit normal changes by more than this along the side."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def _angles(triangles: Floats) -> Floats:
 
 
 def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
-    """Fits a model of the normal to each chart: exact at the corners that have a vertex, else linear.
+    """Determines the normals at the corners of each chart: that of the vertex there, or else the value of a linear fit.
 
     Args:
         charts: flat charts.
@@ -122,7 +123,7 @@ def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
 
 
 def _fit(normals: Floats, chart: Ints, share: Floats, count: int) -> Floats:
-    """Fits a linear function of the position to the normals (N, 3). Returns its values at the corners, (C, 4, 3)."""
+    """Fits a linear function of the position to the normals (N, 3); returns its values at the corners of charts."""
     terms = np.concatenate((np.ones((len(chart), 1)), share), axis=1)
     gram = np.stack([np.bincount(chart, terms[:, a] * terms[:, b], count) for a in range(3) for b in range(3)], axis=1)
     right: Floats = np.stack(
@@ -133,7 +134,7 @@ def _fit(normals: Floats, chart: Ints, share: Floats, count: int) -> Floats:
 
 
 def _no_steeper(normals: Floats, flat: Floats, cosine: Floats) -> Floats:
-    """Limits the angle of normals (C, 4, 3) to the plane's normal (C, 3): its cosine is at least `cosine` (C,)."""
+    """Limits the angle between normals (C, 4, 3) and that of the plane (C, 3) to an angle of given `cosine` (C,)."""
     rise = np.maximum(np.einsum("ckn,cn->ck", normals, flat), 1e-3)[..., None]
     lean = normals / rise - flat[:, None]
     lean -= np.einsum("ckn,cn->ck", lean, flat)[..., None] * flat[:, None]

@@ -25,14 +25,14 @@ from workers.geometry.rays import Caster
 _CEILING_GROUPS = 6
 """Largest number of groups of lamps that shine down."""
 _SCREEN_M2 = 0.6
-"""Area below which a lamp that does not shine down is a screen, square metres; larger ones are windows."""
+"""A lamp that does not shine down is a screen if its area is below this, square metres; otherwise, it is a window."""
 _DOWN = -0.7
 _FULL = 255
 _INDIRECT = 0.7
 """Share of the ambient light that lamps emit and other surfaces reflect; the rest comes from the sky."""
 _CHUNK = 1 << 14
 _OFF_SHARE = 0.03
-"""Share of the sky in the light of the surface of a lamp, so a lamp that is off is not black."""
+"""Share of the light of a lamp's surface that counts as light of the sky, so a lamp that is off is not black."""
 
 
 def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
@@ -104,7 +104,7 @@ def _describe(lamps: Lamps, rows: Ints) -> LampGroup:
 
 
 def _layout_of(scene: CompiledScene, charts: Charts) -> Unwrap:
-    """Returns the layout of the light map, from the coordinates that the package has."""
+    """Returns the layout of the charts in the light map, computed from the light map coordinates in the package."""
     rows, columns = scene.light_map.shape[:2]
     texel = scene.light_uvs.astype(np.float64) * (columns, rows) - 0.5
     chart, share = np.repeat(charts.of_triangle, 3), charts.share.reshape(-1, 2)

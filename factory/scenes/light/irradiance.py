@@ -23,14 +23,15 @@ _LAMPS_A_CELL = 24
 _HIDDEN_SHARE = 0.35
 """A spot is inside a solid if more than this share of its rays meet a back face."""
 _COVER_M, _COVERED_SHARE = 0.03, 0.7
-"""A spot is covered if, within this distance, metres, more than this share of its rays meet a surface."""
+"""A spot is covered if more than the second number, a share, of its rays meet a surface within the first number,
+metres."""
 _CHUNK = 1 << 13
 """Number of texels per batch; the working set of a batch fits the processor cache."""
 _LAMP_CHUNK = 1 << 12
-"""Number of texels per batch for the light of lamps, which needs values for each lamp near a texel."""
+"""Number of texels per batch for the light of lamps; smaller, because a texel needs values for each lamp near it."""
 
 Rays = tuple[int, int]
-"""Number of rays of a texel on a flat chart and on a curved chart, multiples of `SPOTS`."""
+"""Number of rays of a texel on a flat chart, and number of rays of a texel on a curved chart; multiples of `SPOTS`."""
 
 
 def _sequence(count: int) -> Floats:
@@ -103,7 +104,10 @@ def lamp_light(caster: Caster, texels: Texels, open_spots: Bools, lamps: Lamps, 
 def _lit(
     caster: Caster, texels: Texels, run: Ints, open_spots: Bools, lamps: Lamps, near: Ints, count: int
 ) -> tuple[Singles, Singles]:
-    """Samples lamps of `near` (L, N) by their unoccluded light, and tests the visibility of points on these lamps."""
+    """Casts rays to points on lamps of `near` (L, N), to each lamp in proportion to its unoccluded light at the texel.
+
+    Returns (N,) the unoccluded light, and (N,) the share of it that is not occluded.
+    """
     spots, normals = texels.points[run], np.ascontiguousarray(texels.axes[run, 2].T, np.float32)
     points = np.ascontiguousarray(texels.middles[run].T, np.float32)
     reached = light_from(lamps, near, points, normals).cumsum(axis=0)

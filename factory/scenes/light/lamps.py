@@ -17,7 +17,7 @@ _SMALLEST_M2 = 0.05
 _MOST = 512
 _HUNG_HEIGHT_M, _HUNG_SIDE_M, _HUNG_EVERY_M = 2.6, 0.6, 4.0
 _NEAR_M2 = 0.15
-"""Offset of squared distances, square metres; prevents overexposure of walls next to a lamp."""
+"""Added to squared distances from lamps, square metres, so walls next to a lamp are not overexposed."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _hung(bounds: Floats, floor_m: float) -> Lamps:
 
 
 def nearest_lamps(lamps: Lamps, place: Floats, most: int) -> NDArray[np.intp]:
-    """Returns the numbers of the `most` lamps with the strongest effect near a position (3,), ascending."""
+    """Returns the numbers of the `most` lamps with the strongest effect at a position (3,), in ascending order."""
     gap = lamps.centre - place
     weight = lamps.power / (np.einsum("lk,lk->l", gap, gap) + 1.0)
     return np.sort(np.argsort(-weight, kind="stable")[:most])

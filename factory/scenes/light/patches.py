@@ -30,16 +30,19 @@ class Patches:
     anchors: Floats
     """(C, 4, 3) world positions of the corners of the square, metres."""
     extent: Floats
-    """(C, 2) length along and across, metres: the longer one of each two opposite sides."""
+    """(C, 2) length along and across, metres: that of the longer of the two opposite sides."""
 
 
 def interpolate(values: Floats, chart: Ints, share: Floats) -> Floats:
-    """Returns (N, S, K) values at S near positions in each of N charts, interpolated on one side of the diagonal.
+    """Interpolates values linearly at S positions, which are close together, in the square of each of N charts.
+
+    Returns (N, S, K). The diagonal divides the square into two triangles, each with its own linear function.
 
     Args:
         values: (C, 4, K) values at the corners of the squares.
         chart: (N,) chart of each position.
-        share: (N, S, 2) positions in the square, 0..1. The first one determines the side of the diagonal for all S.
+        share: (N, S, 2) positions in the square, 0..1. The first position of a chart determines the triangle for all S
+            positions.
     """
     first, second, third, fourth = values.swapaxes(0, 1)
     along, across = np.stack((second - first, third - fourth)), np.stack((third - second, fourth - first))
@@ -82,7 +85,7 @@ def _rectangles(triangles: Floats, of_triangle: Ints, axes: Floats, order: Ints,
 
 
 def _map_triangles(patches: Patches, triangles: Floats, rows: Ints, charts: Ints) -> None:
-    """Maps single triangles with their longest edge on the diagonal; the fourth corner continues the plane."""
+    """Maps single triangles with their longest edge on the diagonal; the fourth corner completes a parallelogram."""
     longest = np.linalg.norm(np.roll(triangles[rows], -1, axis=1) - triangles[rows], axis=2).argmax(axis=1)
     turned = (longest[:, None] + (1, 2, 3)) % 3
     first, second, third = (triangles[rows, turned[:, k]] for k in range(3))

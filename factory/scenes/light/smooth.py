@@ -28,7 +28,7 @@ def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bo
 
 
 def even_out(values: Floats, known: Bools, owner: Ints, step: int) -> Floats:
-    """Averages values (K, H, W) of one chart that differ by noise only, at a distance of `step` texels.
+    """Averages values (K, H, W) of texels of one chart that are `step` texels apart and differ by noise only.
 
     One pass of an edge-avoiding a-trous wavelet (Dammertz et al., HPG 2010). The weight of a neighbour falls to 0 where
     any of its values differs by `_NOISE`.
@@ -49,9 +49,8 @@ def even_out(values: Floats, known: Bools, owner: Ints, step: int) -> Floats:
 
 
 def fill_hidden(values: Floats, known: Bools, owner: Ints) -> Floats:
-    """Returns the values (..., H, W) with unknown ones filled from their nearest known neighbours, else from the mean
-    of the chart.
-    """
+    """Returns the values (..., H, W). Unknown values are filled from their nearest known neighbours in the chart or, if
+    there are none within `_FILL_ROUNDS` texels, with the mean of the chart."""
     filled, have = values.copy(), known.copy()
     missing = np.nonzero(~have & (owner >= 0))
     means, is_found = _means(values, known, owner)

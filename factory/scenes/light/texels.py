@@ -22,9 +22,9 @@ _OFFSETS = np.array(((-0.25, -0.25), (0.25, 0.25), (0.25, -0.25), (-0.25, 0.25))
 """(SPOTS, 2) positions relative to the centre of a texel of a flat chart, texels."""
 _LIFT_M = 0.006
 _INSET, _BENT_INSET = 0.1, 0.03
-"""Least distance of a ray's start from the edge of a flat and of a curved chart, texels."""
+"""Least distance of a ray's start from the edge of a flat chart, and from the edge of a curved chart, texels."""
 _LARGE = 8
-"""Minimum length of the shorter side of a large flat chart, texels."""
+"""A flat chart is large if its shorter side has at least this length, texels."""
 _DITHER = np.array((0.7548776662466927, 0.5698402909980532))
 """Steps of the R2 sequence (plastic number), which spread the patterns evenly over neighbouring texels."""
 
@@ -36,7 +36,7 @@ class Texels:
     cell: tuple[Ints, Ints]
     """Rows and columns in the light map."""
     points: Floats
-    """(N, SPOTS, 3) positions just above the surface, metres; equal on curved charts."""
+    """(N, SPOTS, 3) positions just above the surface, metres; on curved charts, all positions of a texel are equal."""
     axes: Floats
     """(N, 3, 3) rows: along, across, normal; on curved charts, the smooth normal."""
     pattern: Ints

@@ -12,16 +12,18 @@ from schemas.support.numpy_types import Floats
 
 SKY_SHARE, FLOOR = 0.42, 0.03
 CONTACT = 2.0
-"""Exponent of the openness; above 1, corners and floor under furniture are darker than physically correct."""
+"""Exponent of the openness in ambient light; above 1, corners and floor under furniture are darker than is physically
+correct."""
 SHELTER = 0.6
-"""Exponent of the openness for lamp light; it adds soft contact shadows."""
+"""Exponent of the openness in lamp light, where the openness adds soft contact shadows."""
 _EXPOSURE = 1.3
-"""Mean light before the shoulder, in units of the light that maps to 0.5."""
+"""Mean light before the tone curve, for a scene whose exposure is not corrected; in the unit of `WHITE`."""
 _GREY, _ADAPTATION = 0.38, 0.6
-"""Reference reflectance of the exposure, and exponent of the correction for lighter and darker scenes."""
+"""Mean reflectance of a scene whose exposure is not corrected. For other scenes, the exposure is multiplied by (first
+number / mean reflectance) to the power of the second number, within limits."""
 _MOST_CORRECTION = 1.35
 WHITE = 3.0
-"""Light that maps to 1, in the same units."""
+"""Light that the tone curve maps to 1; brighter light is clipped."""
 _LAMP_TINT = np.array((1.0, 0.965, 0.885))
 _SKY_TINT = np.array((0.94, 0.975, 1.0))
 GAMMA = 2.2

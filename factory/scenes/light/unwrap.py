@@ -19,7 +19,7 @@ _LARGE_M2 = 4.0
 _BUDGET = 512_000
 _MAX_SIDE = 1024
 _TINY = 0.75
-"""Width in texels below which a chart gets a single texel."""
+"""A chart gets a single texel along each of its sides that is shorter than this, texels."""
 
 
 class TooManyPieces(ValueError):
@@ -63,7 +63,7 @@ def unwrap(
         if size.max() == 1:
             raise TooManyPieces(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
         if (size == floor).all():
-            floor = np.ones_like(floor)  # curved surfaces with one texel across the curve look faceted
+            floor = np.ones_like(floor)  # only now, because curved surfaces with one texel across look faceted
         scale *= 0.9
     chart = charts.of_triangle
     texel = place[chart][:, None] + 0.5 + charts.share * (size[chart] - 1)[:, None]

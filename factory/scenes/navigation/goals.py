@@ -14,7 +14,7 @@ from schemas.support.approach import approach, ring, target_distances
 from schemas.support.numpy_types import Floats
 
 _AT_ONCE = 32
-"""Number of targets whose arrays are computed together; they fit the processor cache."""
+"""Number of targets whose arrays are computed together; these arrays fit the processor cache."""
 
 Rows = NDArray[np.intp]
 
@@ -30,7 +30,7 @@ class Goals:
     extents: Floats
     """(T,) largest distance of a vertex from the centroid, metres."""
     vertices: Floats | None
-    """(K, T, 2) vertices of the footprints, metres, padded with the last; `None` if distances are from centroids."""
+    """(K, T, 2) vertices of the footprints, metres, padded with the last vertex; `None` for the centroid measure."""
 
     @classmethod
     def of(cls, targets: Sequence[Target], goals: Sequence[Goal]) -> Goals:

@@ -62,7 +62,7 @@ def _in_band(triangles: Floats, floor_m: float, band: tuple[float, float]) -> Fl
 
 
 def _frame_of(obstacles: Floats, floor: Floats) -> GridFrame:
-    """Returns the bounds of obstacles and floor; the floor is cut at 6 m beyond the obstacles."""
+    """Returns the grid that contains the obstacles, and the floor up to 6 m beyond them."""
     lower, upper = floor[:, :, :2].min(axis=(0, 1)), floor[:, :, :2].max(axis=(0, 1))
     if len(obstacles):
         low, high = obstacles[:, :, :2].min(axis=(0, 1)), obstacles[:, :, :2].max(axis=(0, 1))

@@ -22,9 +22,10 @@ from workers.geometry.grid import Grid, are_within, body_centre
 ARRIVAL_RADIUS_M = 0.97
 """Distance from the target at which the robot stops within the success region, by the success measure, metres."""
 SEE_RANGE_M = (1.5, 11.0)
-"""Minimum and maximum distance of a spawn that counts for a target, metres."""
+"""Range of distances from a target; a spawn point outside this range does not count as seeing the target, metres."""
 MIN_STARTS = 3
-"""Minimum number of valid lattice poses of a tier, so random sampling finds one."""
+"""A target is reachable from the tier near or mid only with this number of valid lattice poses, so random sampling
+finds one."""
 _ARRIVAL_SHARES = (1.0, 0.85, 0.7, 0.5, 0.3)
 _BEARINGS, _HEADINGS, _RINGS = 48, 16, 6
 
@@ -54,8 +55,8 @@ class Terrain:
 def tiers_of(
     terrain: Terrain, targets: Sequence[Target], success: SuccessMeasure, spawns: Floats
 ) -> list[tuple[tuple[Tier, ...], tuple[Tier, ...]] | None]:
-    """Returns for each target the tiers from which it is reachable by straight driving, and by any path; `None` for one
-    that is not reachable.
+    """Returns for each target the tiers from which it is reachable by straight driving, and by any path; `None` for a
+    target that is not reachable.
 
     Args:
         terrain: floor of the scene.
@@ -70,7 +71,7 @@ def tiers_of(
         rows = np.flatnonzero(_are_reachable(terrain, every))
         reachable = every.chosen(rows)
         straight, connected = _ring_tiers(terrain, reachable)
-        # the path along the floor is at least as long as this distance
+        # the straight distance, because the path along the floor is at least as long
         is_far = reachable.distances(spawns) >= FAR_FLOOR_M[0]
         straight[Tier.FAR] = np.asarray(_see(terrain, spawns, reachable, is_far).any(axis=1))
         connected[Tier.FAR] = np.asarray(is_far.any(axis=1))
@@ -117,7 +118,8 @@ def _ring_tiers(terrain: Terrain, goals: Goals) -> tuple[dict[Tier, Bools], dict
 def _ring(
     terrain: Terrain, goals: Goals, rows: Rows, distance_m: float, *, starts: bool = False
 ) -> tuple[Rows, Floats]:
-    """Returns points (N, 2) at a distance from some goals from which the target is visible, and the goal of each point.
+    """Returns points (N, 2) around some goals from which the target is visible, and the number of the goal of each
+    point.
 
     Args:
         terrain: floor of the scene.

@@ -78,7 +78,7 @@ def alone(scene: CompiledScene, instance_id: int) -> CompiledScene:
 
 
 def facing(scene: CompiledScene, target: Target) -> float:
-    """Returns the heading, radians, from a target to its open side: most of the connected floor nearby."""
+    """Returns the heading, radians, from a target to the side on which most of the nearby connected floor is."""
     grid = Grid.from_scene(scene)
     floor = grid.centre_of(np.argwhere(scene.reachable > 0))
     away = floor - np.array(target.centroid_m[:2])
@@ -126,7 +126,7 @@ def _tiles(eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_pl
 
 
 def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> RenderedFrame:
-    """Renders views from all around, the open side first, and returns the one with most pixels of the target."""
+    """Renders views from all around, and returns the one with most pixels of the target; prefers the open side."""
     looks: list[RenderedFrame] = []
     for turn in _TURNS_DEG:
         view = _view_in_place(scene, target, facing(scene, target) + math.radians(turn))

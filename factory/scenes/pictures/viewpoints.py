@@ -20,7 +20,7 @@ from workers.render import RenderedFrame, Renderer
 _HEADINGS = 10
 _NEAR_M, _FULL_DEPTH_M = 0.7, 4.0
 _SATURATED = 0.05
-"""Share of the frame up to which a larger object increases the score."""
+"""An object that covers more than this share of a frame does not increase the score further."""
 _CLUTTER = 0.15
 """Weight of an object that is not a target, relative to a target."""
 _SEEN_BEFORE = 0.3
@@ -37,7 +37,7 @@ class Height:
 
 
 EYE = Height(1.5, math.radians(-11.0), 80.0)
-"""Eye height of a person, slightly downwards."""
+"""View of a standing person who looks slightly downwards."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,10 @@ def score_view(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int
 
 
 def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count: int) -> list[Viewpoint]:
-    """Returns the set of viewpoints with the highest total score, best first.
+    """Chooses viewpoints one after the other, each with the highest score.
+
+    Objects that earlier viewpoints show count less. A viewpoint close to an earlier one is chosen only if its heading
+    differs.
 
     Args:
         eye: renderer of small frames.

@@ -22,7 +22,7 @@ from workers.planning import geodesic_m
 _COARSE = 4
 """Two maps are compared in coarse cells. Side of a coarse cell, in cells of the occupancy grid: 4 x 0.05 m = 0.2 m."""
 _STARTS, _GOALS = 4, 12
-"""Largest numbers of starts and targets of a layout between which path lengths are measured."""
+"""Largest number of starts and of targets of a layout between which path lengths are measured."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class LayoutFacts:
     seed: int
     """Seed of the layout."""
     rooms: int
-    """Number of rooms; a hall without recorded rooms has 1."""
+    """Number of rooms; 1 for a layout that records none."""
     area_m2: float
     """Extent of the building, square metres."""
     free_area_m2: float
@@ -117,7 +117,7 @@ def spreads(layouts: Sequence[LayoutFacts]) -> dict[str, Distribution]:
 
 
 def coarse_map(scene: CompiledScene) -> Bools:
-    """Returns the occupied cells of a layout, 0.2 m wide, without empty margins."""
+    """Returns the cells of a layout, 0.2 m wide, of which at least half is occupied; without empty margins."""
     occupied = scene.occupancy == OCCUPIED
     rows, columns = np.nonzero(occupied)
     cut = occupied[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]

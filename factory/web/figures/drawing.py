@@ -26,7 +26,7 @@ from schemas.storage.place import Place
 FIRST_OPENED = 200
 """Number of episodes that are opened for the first figures of a larger dataset."""
 _KEPT_FILES = 20
-"""Number of cached results; the oldest one is removed."""
+"""Maximum number of cached results; older results are removed."""
 _TABLES = (META_FILE, METADATA_FILE, ATTEMPTS_FILE, INSTRUCTIONS_FILE)
 _CODE = (Path(factory.report.__file__).parent, Path(factory.stats.__file__).parent)
 

@@ -25,13 +25,13 @@ class DrawnStatistics(Model):
     images: dict[str, str]
     """SVG by name of the drawing."""
     key: str
-    """SHA-256 of the tables and of the number of episodes that were opened."""
+    """SHA-256 of the tables, the code of the figures, the type of the renderer and the limit of opened episodes."""
     episodes: int = Field(ge=0)
     """Number of episodes in the tables."""
     opened: int = Field(ge=0)
     """Number of episodes whose files were read for tracks, actions and frames."""
     is_complete: bool
-    """Whether the figures show as many episodes as those of the report."""
+    """Whether the figures are based on all episodes that the report would open."""
 
 
 class Message(Model):

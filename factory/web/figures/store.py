@@ -15,7 +15,7 @@ from schemas.support.child import child_environment, python_module
 from schemas.support.closing import Closing
 
 _SHARE = 3
-"""Ratio of the pause after a drawing to its wall time, so a run on the same machine is not slowed."""
+"""After a drawing, the pause is this multiple of its wall time, so a run on the same machine is not slowed."""
 
 
 @dataclass(frozen=True)

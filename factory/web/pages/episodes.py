@@ -18,7 +18,8 @@ from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_q
 PAGE_ROWS = 50
 """Number of episodes on a page."""
 LARGE_ROWS = 50_000
-"""Minimum size at which the first rows are shown before a table is read; smaller tables are read within 0.2 s."""
+"""Minimum number of rows of a table whose first rows are shown before the whole table is read. Smaller tables are read
+within 0.2 s."""
 _PATIENCE_S = 0.1
 """Maximum wait for the first reading of the table, seconds; after it, the page shows the first rows only."""
 _SHOWN = (

@@ -193,7 +193,7 @@ def _tables(workspace: Workspace) -> list[tuple[str, str, int]]:
 
 
 def _scenes(workspace: Workspace, farm: Farm) -> list[tuple[str, int, int]]:
-    """Returns each family or scene of the plan with its number of scenes and of stored packages."""
+    """Returns for each family or single scene of the plan the number of scenes, and how many have a stored package."""
     stored = workspace.packaged_scenes()
     planned, built = Counter[str](), Counter[str]()
     for part in farm.info.plan.parts:

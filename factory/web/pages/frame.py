@@ -17,9 +17,9 @@ from factory.web.pages.find import find_episode
 from schemas.terms import Recording
 
 _MASKS = 40
-"""Number of frames whose mask is measured."""
+"""Maximum number of frames in which the mask of the target is measured."""
 _MASK_PX = 160
-"""Size of the frames that are rendered to measure the mask, pixels."""
+"""Width and height of the frames that are rendered to measure the mask, pixels."""
 
 
 async def show_frame(request: Request) -> Response:

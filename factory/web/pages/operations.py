@@ -58,7 +58,7 @@ async def operate(request: Request) -> Response:
 
 
 def _execute(context: WebContext, request: AdminRequest) -> AdminReply:
-    """Executes a request on the run; the farm page shows the state after it."""
+    """Executes a request on the run. Then discards the shared content of the farm page, so it shows the new state."""
     try:
         return context.administer(request)
     finally:

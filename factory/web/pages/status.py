@@ -21,7 +21,7 @@ def routes(source: StatusSource) -> list[Route]:
 
     async def answer(request: Request) -> Response:
         path = request.url.path
-        if path == "/healthz":  # independent of threads that wait for the ledger
+        if path == "/healthz":  # needs no thread: all threads may wait for the ledger
             status, kind, body = pages.answer(path, "")
         else:
             status, kind, body = await run_in_threadpool(pages.answer, path, "")

@@ -169,7 +169,7 @@ class SceneFacts:
 
     @cached_property
     def alone(self) -> dict[Relation, Masks]:
-        """(N,) objects for which each relation that needs neither landmark nor view holds."""
+        """For each relation that needs neither a landmark nor a view: (N,) objects for which it holds."""
         objects = self.graph.objects
         gap, corner = (np.array([getattr(each, name) for each in objects]) for name in ("wall_gap_m", "corner_gap_m"))
         hung = below(gap, limit.TOUCH_M).both(above(self._base, limit.WALL_BASE_M))
@@ -212,12 +212,12 @@ class SceneFacts:
 
     @cached_property
     def _beside(self) -> Masks:
-        """(N, N) [object, thing]: things close to an object, and clearly farther from all others that have a top."""
+        """(N, N) [object, thing]: things close to an object, and clearly farther from every other object with a top."""
         found = below(self.gap, limit.BESIDE_M).both(self._rooms)
         surfaces = np.array([self.graph.kinds.of(each.kind).surface for each in self.graph.objects], bool)
         others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # (N, N) [other object, thing]
         nearest = np.sort(others, axis=0)[:2] if len(others) > 1 else np.full((2, len(others)), np.inf)
-        # gap between a thing and the nearest object with a top, except the object of the row
+        # (N, N) [object, thing]: gap between a thing and the nearest object with a top, other than the given object
         second = np.where(others <= nearest[0], nearest[1], nearest[0])
         clear = second >= self.gap + limit.BESIDE_OTHER_M
         level = self._is_level & self.distinct & ~self.support[Relation.ON].possible

@@ -15,12 +15,13 @@ from schemas.language.generator.parts import ExpressionPart, bits_of
 from schemas.language.generator.search import ExpressionCandidate, ExpressionHead, Search
 
 _WITH_ORDINAL = frozenset({Family.ROOM})
-"""Families of relations that are combined with an ordinal; other relations make "the second chair from the left"
-unclear."""
+"""Families of relations that are combined with an ordinal. With a relation of another family, it is unclear which
+objects "the second chair from the left" counts."""
 _MOST_SELECTED = 4
-"""Largest number of relations that are combined with a superlative."""
+"""Maximum number of relations that are combined with a superlative or an ordinal, one relation at a time."""
 _MOST_PARTS = 24
-"""Largest number of relations that are combined in pairs; if there are more, this many are drawn at random."""
+"""Maximum number of relations that are used, alone or in pairs. If more relations hold for the target, this many are
+drawn at random."""
 
 
 def minimal_expressions(search: Search, rng: np.random.Generator) -> list[Expression]:
@@ -50,7 +51,7 @@ def minimal_candidates(search: Search, rng: np.random.Generator) -> list[Express
 def _with_head(
     search: Search, head: ExpressionHead, parts: list[ExpressionPart], own: int, bare: int
 ) -> Iterator[ExpressionCandidate]:
-    """Yields the minimal expressions that contain a given kind, with its colour or material.
+    """Yields the minimal expressions with a given head: a kind, perhaps with a colour or a material.
 
     Args:
         search: parts of expressions for the target.
@@ -85,9 +86,10 @@ def _with_head(
 
 
 def _selected(search: Search, head: ExpressionHead, part: ExpressionPart) -> Iterator[ExpressionCandidate]:
-    """Yields the expressions in which a superlative selects the target among the objects for which a relation holds.
+    """Yields the expressions in which a superlative or an ordinal selects the target among the objects that the head
+    and a relation fit.
 
-    Without the relation, the same superlative does not select the target.
+    Without the relation, the same superlative or ordinal does not select the target.
     """
     without = {one.selector for one in search.selectors(head)}
     for one in search.selectors(head, (part,)):

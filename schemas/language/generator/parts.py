@@ -84,7 +84,8 @@ class SceneParts:
             number: number of the object in the scene graph.
             words: grammar of the language.
             has_colours: whether landmarks are named by their colour, too.
-            among: hashable description of the other objects, the key of the cache; `None` if they depend on the start.
+            among: hashable description of the other objects, used as a key of the cache; `None` if they depend on the
+                start, so nothing is cached.
             others: numbers of the other objects, at least one.
         """
         parts = _StaticParts(self.facts, number, words, has_colours)

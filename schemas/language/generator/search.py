@@ -130,7 +130,8 @@ class Search:
         return Family.COLOUR in self.families
 
     def heads(self) -> list[ExpressionHead]:
-        """Returns the kinds that fit the target: alone, with its colour, and with its material."""
+        """Returns the kind of the target and its superclasses: each alone, and with the target's colour or material.
+        `families` limits the choice."""
         each, table = self.facts.graph.objects[self.number], self.facts.graph.kinds
         kinds = [(each.kind, False)]
         if Family.SUPERCLASS in self.families:

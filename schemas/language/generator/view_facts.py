@@ -30,9 +30,10 @@ class _Wayside(NamedTuple):
     middle: Floats
     low: Floats
     high: Floats
-    """Distances of the middle and both ends along the heading."""
+    """`middle`, `low` and `high`: distances along the heading from the start to the middle, the near end and the far
+    end of each object."""
     near: Floats
-    """Distance of the near side from the axis of the heading."""
+    """Distance of the near side of each object from the axis of the heading."""
 
     def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
         """Returns which objects are hidden, as seen from the way ahead, by an object that is surely counted."""
@@ -87,7 +88,8 @@ class ViewFacts:
         return found
 
     def _depths(self, axis: Floats) -> tuple[Floats, Floats]:
-        """Returns (K, N) smallest and largest distances of the bounding rectangles along K axes of sight, metres."""
+        """Returns (K, N) smallest and largest distances from the start to each bounding rectangle, measured along each
+        of K lines of sight, metres."""
         graph, eye = self.scene.graph, (self.view.x, self.view.y)
         half = (graph.high - graph.low)[:, :2] / 2
         middle, reach = (self.scene.centre - eye) @ axis.T, half @ np.abs(axis.T)

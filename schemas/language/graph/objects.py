@@ -1,6 +1,6 @@
 """Finds the objects of a compiled scene that words can name, or that a viewer may take for such an object.
 
-Measures their boxes only; rooms and walls are computed by `graph`.
+Measures only their boxes; `scene_graph` computes rooms and walls.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ def _of_category(
 
 
 def _landmark_key(table: Kinds, segments: Sequence[str]) -> tuple[str, tuple[str, ...], str] | None:
-    """Returns kind, kinds that a viewer may see, and path of the object that contains a prim without a category."""
+    """Returns the kind, the kinds that a viewer may see in it, and the path of the object that contains a prim without
+    a category; `None` if no segment of the path names a kind."""
     named, seen = table.landmark_of(segments), table.seen_in(segments)
     if named is not None:
         return named[0], (), "/".join(segments[: named[1] + 1])

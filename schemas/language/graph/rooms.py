@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads a submodule at its first use
+import scipy  # imports `scipy.ndimage` at its first use
 from numpy.typing import NDArray
 
 from schemas.support.numpy_types import Bools, Floats, Ints
@@ -86,7 +86,7 @@ class SceneRoom(NamedTuple):
     area_m2: float
     """Area of its free floor, square metres."""
     aspect: float
-    """Length of its bounding rectangle along the world axes, divided by the width."""
+    """Longer side of its bounding rectangle along the world axes, divided by the shorter side."""
 
 
 def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
@@ -111,7 +111,8 @@ def find_walls(occupancy: CellGrid, boxes: Floats) -> CellGrid:
 
 
 def _without_cavities(walls: Bools) -> Bools:
-    """Returns the walls with the space between their two surfaces filled, up to `_CAVITY_CELLS` along the axes."""
+    """Returns the walls with hollow walls filled: gaps of up to `_CAVITY_CELLS` cells between two wall cells, along
+    both axes."""
     filled = walls.copy()
     for axis in (0, 1):
         for width in range(1, _CAVITY_CELLS + 1):
@@ -168,7 +169,8 @@ def _close_openings(walls: Bools, resolution_m: float, opening_m: float) -> Bool
 
 
 def nearest_room(rooms: CellGrid, points: Floats, within_m: float = 0.6) -> Ints:
-    """Returns the room at each of (N, 2) points; outside of rooms, the nearest room within a distance, or 0."""
+    """Returns the room at each of (N, 2) points; for a point outside of rooms, the nearest room within `within_m`, or
+    0."""
     labels = np.asarray(rooms.values, np.int64)
     distance, nearest = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
     row, column = rooms.cells(points)
@@ -194,7 +196,8 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
     ).reshape(-1, _DIRECTIONS)
     own = _gaps(walls, centres, ways, reach)
     ahead = _gaps(walls, _in_front(walls, centres, ways, reach, own), ways, reach)
-    # the centre is closest to a wall along the normal of the wall; a corner of the outline may be closest elsewhere
+    # the normal of the wall is the direction in which the centre is nearest to it; a corner of the outline may be
+    # nearest to a wall in a different direction
     rows, normal, quarter = np.arange(len(own)), (ahead + reach).argmin(axis=1), _DIRECTIONS // 4
     gap = own[rows, (own + reach).argmin(axis=1)]
     sides = np.minimum(ahead[rows, (normal + quarter) % _DIRECTIONS], ahead[rows, normal - quarter])
@@ -203,7 +206,7 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
 
 def _gaps(walls: CellGrid, points: Floats, ways: Floats, reach: Floats) -> Floats:
     """Returns (N, D) distances from the edge of each object to the first wall in each direction, metres. `reach` (N, D)
-    is the distance from the point (N, 2) of an object to its edge."""
+    is the distance from an object's point in `points` (N, 2) to its edge in each direction."""
     steps = np.arange(0.0, _FAR_M, walls.resolution_m / 2)
     gaps = np.full(reach.shape, _FAR_M)
     for direction, way in enumerate(ways):
@@ -214,7 +217,7 @@ def _gaps(walls: CellGrid, points: Floats, ways: Floats, reach: Floats) -> Float
 
 
 def _in_front(walls: CellGrid, points: Floats, ways: Floats, reach: Floats, own: Floats) -> Floats:
-    """Returns the (N, 2) points; those of flat objects at a wall are moved to `_FRONT_M` in front of it."""
+    """Returns the (N, 2) points; the points of flat objects at a wall are moved to `_FRONT_M` in front of the wall."""
     rows, thin = np.arange(len(points)), reach.argmin(axis=1)
     is_at_wall = (reach[rows, thin] < _FLAT_M / 2) & (own.min(axis=1) <= _AT_WALL_M)
     steps = np.arange(0.0, _FRONT_M, walls.resolution_m / 2)

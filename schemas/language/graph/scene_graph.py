@@ -32,7 +32,8 @@ from schemas.support.numpy_types import Bools, Floats, Ints
 _LOW_M, _TALL_M = 0.6, 1.6
 _BETWEEN_ROOMS = frozenset({"door", "gate", "window"})
 _BESIDE_M = (0.1, 0.13, 0.16, 0.2)
-"""Distances from the faces of a door leaf at which a wall is searched, metres; a wall may be two thin faces."""
+"""Distances from the faces of a door leaf at which a wall is searched, metres. There are several, because a wall may
+consist of two thin faces."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,8 @@ class SceneGraph:
 
     @cached_property
     def walled(self) -> Bools:
-        """(N, N) pairs of objects with a wall between them, without objects of unknown room, such as doors."""
+        """(N, N) pairs of objects with a wall between them; pairs with an object whose room is unknown, such as a door,
+        are omitted."""
         is_known = (self.room_of > 0) & (self.room_of > 0)[:, None]
         return find_barriers(self.low[:, :2], self.high[:, :2], self.sight_grid) & is_known
 

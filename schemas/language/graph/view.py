@@ -25,8 +25,8 @@ _BEFORE_M = 0.12
 """Distance before the object at which a line of sight ends, metres, so the object itself does not block it."""
 _STEP_CELLS = 1.5
 _TALL_M = 0.6
-"""Height of a part of an object that suffices within the vertical range of the image, if half of the object is higher,
-metres."""
+"""An object is surely visible only if the part of it within the vertical range of the image has this height, metres, or
+half of the object's height if that is less."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Ends of the lines of sight to an object: offsets from its centre, as shares of its half width and half length."""
 
@@ -94,7 +94,8 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
         sure[near] = (share >= _FREE_SHARE) & inside[near, 0]
         possible[near] = ((blocked < 2) & maybe[near]).any(axis=1)
     room, area = graph.room_at(x, y), graph.area_at(x, y)
-    # the wall behind an object blocks no line of sight, because the lines end before the object
+    # lines of sight end before the object, so the wall on which it hangs blocks none of them, even from the other side
+    # of the wall; therefore, a hanging object is surely visible from its own room only
     is_facing = ~graph.hangs | (graph.room_of == room) & (room > 0)
     low_rad, high_rad = bearing.min(axis=1), bearing.max(axis=1)
     middle_rad = np.where(high_rad - low_rad < math.pi, (low_rad + high_rad) / 2, bearing[:, 0])
@@ -105,7 +106,7 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
 
 
 def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:
-    """Returns (N,) whether half of an object's height, or `_TALL_M` of it, is within the vertical range of the image.
+    """Returns (N,) whether at least `_TALL_M` or half of an object's height is within the vertical range of the image.
 
     Args:
         graph: scene graph.
@@ -119,7 +120,7 @@ def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfi
 
 
 def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:
-    """Returns (K, 5) the highest value of the grid on each line of sight before it enters the bounding rectangle.
+    """Returns (K, 5) the highest value of the grid on each line of sight before the line enters the bounding rectangle.
 
     Args:
         graph: scene graph.
@@ -130,7 +131,7 @@ def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Fl
     """
     grid = graph.sight_grid
     with np.errstate(divide="ignore", invalid="ignore"):
-        sides = (np.stack((low, high)) - eye)[:, :, None] / ways  # shares of the lines at which they cross the sides
+        sides = (np.stack((low, high)) - eye)[:, :, None] / ways  # share of each line at which it crosses each side
     entered = np.nan_to_num(np.minimum(*sides), nan=0.0).max(axis=-1).clip(0.0, 1.0)
     start = (eye - np.asarray(grid.origin_m)) / grid.resolution_m
     steps = (ways * (entered / grid.resolution_m)[..., None]).astype(np.float32)

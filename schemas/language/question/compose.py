@@ -40,9 +40,10 @@ from schemas.terms import CATEGORIES
 
 _TRIES = 4
 _MOVING_SHARE = 0.75
-"""Share of questions about the next movement in which the stop is not among the possible answers."""
+"""Share of the questions about the next movement whose answer is drawn from the movements other than the stop."""
 _METRES_SHARE, _METRES_FREE = 0.2, 0.1
-"""Largest error of a rounded distance, as a share of the distance and in metres."""
+"""A distance is rounded to whole metres only if this changes it by at most `_METRES_SHARE` of the distance plus
+`_METRES_FREE` metres."""
 
 
 class AskedEpisode(NamedTuple):
@@ -154,7 +155,7 @@ class _Answers:
                 return None
             named = self._named(int(self._rng.choice(seen)))
             fitting = self._facts.described(named.kind, named.colour).sure & view.sure
-            # the object may be a borderline case of its kind, such as a chair that looks like a stool
+            # perhaps the drawn object is only a borderline case of its kind, such as a chair that looks like a stool
             if not fitting.any():
                 return None
             nearest = min(np.flatnonzero(fitting).tolist(), key=lambda each: float(distance[each]))
@@ -177,7 +178,7 @@ class _Answers:
         return np.array([n for n in seen.tolist() if language.grammar.names(self._graph.objects[n].kind)], np.int64)
 
     def _unseen(self, view: SceneView, language: SpokenLanguage) -> Iterator[tuple[Expression, ReasonKind]]:
-        """Yields kinds, with and without colour, of which surely no object is visible."""
+        """Yields kinds, with and without colour, of which surely no object is visible, each with the reason."""
         held = {(each.kind, each.colour) for each in self._graph.objects}
         named: dict[tuple[str, str | None], None] = dict.fromkeys((kind, None) for kind in CATEGORIES)
         named |= dict.fromkeys((kind, None) for kind, _ in sorted(held))
@@ -219,7 +220,8 @@ class _Answers:
         return QuestionMeaning(kind=QuestionKind.WHERE, answer=AnswerKind.UNSEEN, reason=reason)
 
     def _feasible(self, language: SpokenLanguage, held_out: bool) -> _Answer | None:
-        """Returns a question about an instruction at the start of the episode, which one, no or several objects fit."""
+        """Returns a question about an instruction at the start of the episode. One, no or several objects fit the
+        instruction."""
         draw, view = self._rng.random(), look(self._graph, self._path.pose(0), self._place.camera)
         scene, number = self._scene, self._episode.number
         text, answer, reason = None, AnswerKind.NO, ReasonKind.NONE_FITS
@@ -246,7 +248,7 @@ class _Answers:
 
 
 def side_of(bearing_rad: float) -> SeenSide | None:
-    """Returns the part of the view of a bearing; `None` between two parts."""
+    """Returns the part of the view that contains a bearing; `None` for a bearing between two parts."""
     if abs(bearing_rad) <= limit.AHEAD_RAD.good:
         return SeenSide.AHEAD
     if abs(bearing_rad) < limit.EGO_RAD.good:

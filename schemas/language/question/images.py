@@ -17,11 +17,13 @@ from schemas.language.question.model import AnswerKind, QuestionMeaning, ReasonK
 from schemas.language.route.thresholds import METRES
 
 _CLEAR_PX, _HIDDEN_PX = 60, 12
-"""Smallest mask of a visible object, and largest mask of an object that is not visible, pixels of 640 x 640."""
+"""`_CLEAR_PX`: minimum number of pixels of an object that an answer calls visible. `_HIDDEN_PX`: maximum number of
+pixels of the objects that an answer calls not visible. Images have 640 x 640 pixels."""
 _SIDE_RAD = math.radians(8)
-"""Tolerance of directions, because other objects hide a part of a mask, radians."""
+"""Tolerance of the direction to an object, radians. The middle of its mask moves if other objects hide a part of it."""
 _METRES_FREE = 0.4
-"""Absolute tolerance of distances, metres: the nearest point may be above the footprint instead of at its edge."""
+"""Absolute part of the tolerance of distances, metres: the nearest visible point of an object may be above the middle
+of its footprint instead of at the edge."""
 
 
 class FrameImages(Protocol):

@@ -17,11 +17,11 @@ from schemas.language.route.segment import divide_path
 from schemas.language.route.steps import SceneRoutes
 
 _BEFORE_DOOR_M = 2.0
-"""Distance before a doorway from which the next movement is to drive through it, metres."""
+"""Distance before a doorway at which the movement through the doorway begins, metres."""
 _CLEAR_RAD = math.radians(30)
 """Smallest change of heading of a movement that is called a turn."""
 _DONE_M = 0.1
-"""Distance before the end within which the robot stops, metres."""
+"""Distance before the end of the path at which the stop begins, metres."""
 
 
 def movements(place: SceneRoutes, path: DrivenPath, number: int) -> list[tuple[QuestionMeaning, tuple[int, int]]]:

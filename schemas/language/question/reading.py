@@ -26,7 +26,7 @@ class _Pattern(NamedTuple):
     name: str
     pattern: re.Pattern[str]
     quotes: bool
-    """Whether it ends with a quoted instruction, so the sentence is matched without being normalised."""
+    """Whether the pattern ends with a quoted instruction. Then, the sentence is matched without being normalised."""
 
 
 class QuestionReader:

@@ -93,7 +93,8 @@ class QuestionVerifier:
         return image_fault(meaning, fitting, images, start, self._graph, self._camera)
 
     def _seen_fault(self, meaning: QuestionMeaning, t: int) -> tuple[Collection[int], str]:
-        """Returns the objects that may be meant, and why the answer about a view is wrong."""
+        """Returns the objects that question or answer may name, and why the answer about a view is wrong (empty if it
+        is right)."""
         if meaning.kind is QuestionKind.WHERE:
             return [self._target], self._where_fault(meaning, t)
         if meaning.named is None:
@@ -160,7 +161,7 @@ class QuestionVerifier:
         return [cmath.phase((complex(*point) - eye) / ahead) for point in self._graph.objects[number].outline_m]
 
     def _bearing(self, number: int, t: int) -> float:
-        """Returns the angle to the middle of an object as it appears, radians."""
+        """Returns the angle from the heading to the middle of an object as it appears in the view, radians."""
         angles = self._bearings(number, t)
         low, high = min(angles), max(angles)
         return (low + high) / 2 if high - low < math.pi else math.pi

@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads a submodule at its first use
+import scipy  # imports `scipy.ndimage` at its first use
 
 from schemas.language.graph.scene_graph import SceneGraph
 from schemas.language.route.model import DrivenPath
@@ -14,9 +14,10 @@ from schemas.language.route.thresholds import DOORWAY_M
 from schemas.support.numpy_types import Floats
 
 _MARGIN_M = 0.2
-"""Smallest clearance of a passage, metres."""
+"""Minimum distance between a cell of a passage and the nearest wall or object, metres."""
 _MEANT_M = 0.4
-"""Smallest length of a path within a room that it visits, metres; a shorter one is an artefact of the grid."""
+"""Minimum length of the stretch of a path within a room that counts as a visit to the room, metres. A shorter stretch
+is an artefact of the grid."""
 _OWN_M = 1.5
 """Largest distance between the middle of a doorway and the path through it, metres."""
 
@@ -83,7 +84,8 @@ def room_changes(graph: SceneGraph, path: DrivenPath) -> list[RoomChange]:
 
 
 def doorway_of(doorways: tuple[RoomPassage, ...], change: RoomChange, place: Floats) -> RoomPassage | None:
-    """Returns the doorway of a change of rooms at a point x, y; `None` if the passage is wide or unknown."""
+    """Returns the doorway through which a path changes rooms at a point x, y; `None` if the passage is wide or
+    unknown."""
     own = [each for each in doorways if each.rooms == {change.before, change.after}]
     nearest = min(own, key=lambda each: float(np.hypot(*(place - each.middle))), default=None)
     if nearest is None or np.hypot(*(place - nearest.middle)) > _OWN_M or nearest.width_m > DOORWAY_M.good:

@@ -83,8 +83,8 @@ class PoseReplay:
         return self._rooms[t]
 
     def passage_width(self, t: int) -> float:
-        """Returns the smallest width of the free space in any direction, on the path within 0.7 m of its position at a
-        frame, metres."""
+        """Returns the smallest width of the free space in any direction, metres. It is measured at points of the path
+        within 0.7 m of its position at frame t."""
         near = [point for point in self._points if abs(point - self._points[t]) < _PASSAGE_M]
         points = np.array(near[:: max(1, len(near) // 12)])[:, None, None]
         ways = np.exp(1j * np.pi * np.arange(2 * _DIRECTIONS) / _DIRECTIONS)[:, None]
@@ -94,7 +94,8 @@ class PoseReplay:
         return float((free[:, :_DIRECTIONS] + free[:, _DIRECTIONS:]).min())
 
     def _free(self, point: complex, way: complex, most_m: float, blocked: int = _WALL) -> float:
-        """Returns the distance to the next cell whose value is at least `blocked`, metres."""
+        """Returns the distance from a point along `way` to the first cell whose value is at least `blocked`; at most
+        `most_m`."""
         steps = np.arange(0.0, most_m, _RAY_M)
         places = np.column_stack((point.real + way.real * steps, point.imag + way.imag * steps))
         hit = np.flatnonzero(self.graph.sight_grid.at(places).astype(np.int64) >= blocked)
@@ -129,7 +130,7 @@ class PoseReplay:
         middle, shown = sum(corners) / len(corners), 0
         points = [middle, *(middle + 0.9 * (corner - middle) for corner in corners)]
         for line in (point - eye for point in points):
-            entered = _entry(eye, line, corners)  # after this share, the line is inside the object itself
+            entered = _entry(eye, line, corners)  # share of the line before it enters the object itself
             if abs(line) > 0 and abs(cmath.phase(line / way)) <= half:
                 free = self._free(eye, line / abs(line), abs(line), blocked=1)
                 shown += free >= min(abs(line), entered * abs(line)) - _OWN_M

@@ -14,7 +14,7 @@ from schemas.language.route.thresholds import RUN_M, STRAIGHT_RAD, TURN_RAD
 from schemas.support.numpy_types import Floats, Ints
 
 _EVERY = 3
-"""Stride of the samples of the path."""
+"""Interval between two samples of the path, frames."""
 _SETTLED_RAD = 0.09
 """Deviation from the heading of a straight run at which a turn begins and ends."""
 

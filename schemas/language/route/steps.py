@@ -26,17 +26,19 @@ from schemas.language.sentence.grammar import Grammar
 from schemas.support.numpy_types import Bools, Floats
 
 _LATER = frozenset(Family) - {Family.VIEW}
-"""Features that a last step after other steps may use. `VIEW` is excluded, because "as seen from here" would mean the
-start of the route."""
+"""Features that the last step of a route with several steps may use. `VIEW` is excluded, because "as seen from here"
+would mean the start of the route."""
 _SHORT_M = 0.8
-"""Length up to which a straight run belongs to the turn after it, metres."""
+"""Length up to which the rest of a straight run gets no separate step, metres. It belongs to the step before it in the
+same run, or if there is none, to the turn after it."""
 _BEYOND_M = 0.3
 """Distance that a step continues after a doorway or an object, metres."""
 _APART_M = 2.0
-"""Smallest distance between two objects passed, metres."""
+"""Minimum distance that the robot drives after one named object until it has passed the next one, metres."""
 _NEAR_M = 3.0
 _NEARER_M = (4.0, 2.5, 1.5, 0.8, 0.4, 0.2)
-"""Distances from the end at which a last step begins if no words fit the target from farther away, metres."""
+"""Distances before the end of the path at which the last step may begin, metres. They are tried in this order, until
+some words fit only the target."""
 _CUTS_RAD = (math.radians(60), math.radians(90), math.radians(120))
 """Headings at which a long turn is divided, relative to the heading at its start."""
 _SMALLEST_RAD = limit.TURN_RAD[TurnSize.SLIGHT][0]
@@ -98,7 +100,7 @@ class RouteSearch:
         for number, part in enumerate(parts):
             own = [change for change in changes if part.start <= change.frame < part.end]
             if part.turn_rad:
-                # the step covers the frames before the turn, too, whose heading may differ a little
+                # the step also covers the frames after the step before it, whose heading may differ a little
                 turned = float(self._path.yaw[part.end - 1] - self._path.yaw[first])
                 if abs(turned) < _SMALLEST_RAD and not own:
                     continue
@@ -136,7 +138,8 @@ class RouteSearch:
         return [SpannedStep(step, start, end)]
 
     def _through(self, start: int, end: int, change: RoomChange) -> list[SpannedStep]:
-        """Returns the step of a turn through a doorway, or of a doorway with hardly any turn."""
+        """Returns the step of a turn in a doorway, or of a drive through a doorway with hardly any turn; empty if
+        the step has no clear description."""
         turned = float(self._path.yaw[end - 1] - self._path.yaw[start])
         kind, side = self._graph.types[change.after - 1], RobotSide.LEFT if turned > 0 else RobotSide.RIGHT
         if abs(turned) >= limit.CORNER_RAD[1]:
@@ -207,7 +210,8 @@ class RouteSearch:
         return self._views[t]
 
     def _is_clear(self, doorway: RoomPassage, start: int) -> bool:
-        """Returns whether no other doorway of the room is ahead at the start of the step."""
+        """Returns whether a doorway is ahead at the start of a step, and no other doorway of the room makes the step
+        ambiguous."""
         x, y, yaw = self._path.pose(start)
         (room,) = {self._graph.room_at(x, y)} & doorway.rooms or {0}
 
@@ -221,7 +225,7 @@ class RouteSearch:
         return angle < math.pi / 3 and all(far > own + limit.NEXT_DOOR_M for far in ahead)
 
     def _passes(self, start: int, end: int) -> list[SpannedStep]:
-        """Returns the objects that the robot passes between two frames, at some distance from each other."""
+        """Returns steps past objects between two frames; objects too soon after the previous one are omitted."""
         if end - start < 2 or self._path.along[end - 1] - self._path.along[start] < limit.RUN_M:
             return []
         found: list[SpannedStep] = []
@@ -239,7 +243,7 @@ class RouteSearch:
         return bool(ahead[0, number] >= limit.BEFORE_M.good)
 
     def _offsets(self, frames: NDArray[np.integer[Any]]) -> tuple[Floats, Floats]:
-        """Returns (K, N) distances of the objects' middles ahead and to the left of the robot, metres."""
+        """Returns (K, N) distances of the middles of objects ahead and to the left of the robot at K frames, metres."""
         offset = self._facts.centre[None] - self._path.xy[frames][:, None]
         cos, sin = np.cos(self._path.yaw[frames])[:, None], np.sin(self._path.yaw[frames])[:, None]
         return offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin

@@ -26,7 +26,7 @@ CORNER_RAD = (math.radians(30), math.radians(150))
 STRAIGHT_RAD = math.radians(25)
 """Largest range of headings of a straight run; a larger change of heading is a turn."""
 UNSAID_RAD = math.radians(60)
-"""Range of headings above which a step that names no turn is wrong."""
+"""Largest range of headings during a step that names no turn."""
 REVERSED_RAD = math.radians(20)
 """Largest change of heading opposite to the direction of a turn."""
 RUN_M = 1.0
@@ -48,13 +48,15 @@ TOWARDS_RAD = Band(math.radians(6), math.radians(30))
 TOWARDS_END_RAD = Band(math.radians(15), math.radians(30))
 """Angle between the heading at the end and the direction to the object of `towards`."""
 TOWARDS_SHARE = 0.35
-"""Smallest share of the distance by which the robot gets closer to the object of `towards`."""
+"""Minimum decrease of the distance to the object of `towards` during the step, as a share of the distance at its
+start."""
 DOORWAY_M = Band(2.2, 3.0)
 """Width of a passage that is called a doorway, metres."""
 DOOR_AHEAD_RAD = math.radians(45)
-"""Sector around the heading at the start of the step in which another doorway makes the step ambiguous."""
+"""Angle from the heading at the start of the step within which another doorway makes the step ambiguous."""
 NEXT_DOOR_M = 2.5
-"""Another doorway does not make the step ambiguous if it is farther away by more than this distance, metres."""
+"""Another doorway does not make the step ambiguous if it is farther away than the doorway of the step by more than this
+distance, metres."""
 STOP_M = Band(1.3, 2.0)
 """Gap between the robot at the end and the footprint of the target, metres."""
 AMBIGUOUS_M = 7.0

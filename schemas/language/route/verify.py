@@ -127,7 +127,7 @@ class RouteVerifier:
         """Returns why the robot does not enter the room of a step (empty if it does), the room before, and the frame at
         which the robot enters."""
         rooms = [(t, replay.room(t)) for t in range(start, end) if replay.room(t)]
-        # the robot may start in a doorway
+        # the step may start in a doorway, which is in no room: then, the previous room counts
         first = next((room for t in range(start, -1, -1) if (room := replay.room(t))), 0)
         before, after = (first or rooms[0][1], rooms[-1][1]) if rooms else (0, 0)
         if before == after:

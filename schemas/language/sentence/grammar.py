@@ -212,7 +212,7 @@ class Grammar(Model):
             words["side"] = _nth(self.sides[_side(expression)], choice.get("side", 0)).replace("~", ending)
         spoken = [clause for clause in expression.clauses if not self._adjective(clause, choice)]
         clauses = [self._clause(clause, gender, choice, number) for number, clause in enumerate(spoken)]
-        # "that is" cannot precede "with two chairs"
+        # the opener "that is" cannot precede "with two chairs"
         has_with = any(clause.relation in STATES | COUNTED for clause in spoken)
         opener = self.opener if len(clauses) > 1 and not has_with else ""
         words |= {"noun": noun, "clauses": opener + self.joiner.join(clauses)}
@@ -265,7 +265,8 @@ class Grammar(Model):
 
 
 def _place(ordinal: Ordinal) -> str:
-    """Returns the key in `ordinals`; the word of the key `1` is empty, because "leftmost" needs no ordinal."""
+    """Returns the key of an ordinal in `ordinals`. The word of key `1` is empty, because "leftmost" needs no
+    ordinal."""
     return "first" if ordinal.number == 1 and ordinal.side in AHEAD_SIDES else str(ordinal.number)
 
 

@@ -27,7 +27,7 @@ _TRIES = 8
 class MistakeKind(StrEnum):
     """Kind of an error in a sentence."""
 
-    TYPING = "typing"  # swapped, missing, doubled or neighbouring letter
+    TYPING = "typing"  # swapped letters; a missing or doubled letter; the letter of a neighbouring key
     SPEECH = "speech"  # filler, or repeated word
 
 
@@ -85,7 +85,7 @@ def _mistyped(text: str, rng: np.random.Generator) -> str | None:
 
 
 def _slips(word: str, at: int) -> Iterator[str]:
-    """Yields a word with a typing error at an inner letter."""
+    """Yields the variants of a word with one typing error at letter number `at`, which is an inner letter."""
     yield word[:at] + word[at + 1] + word[at] + word[at + 2 :]
     yield word[:at] + word[at + 1 :]
     yield word[:at] + word[at] + word[at:]

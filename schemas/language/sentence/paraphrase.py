@@ -84,7 +84,8 @@ def _last_word(before: str) -> str:
 
 
 def _content(source: Grammar) -> set[str]:
-    """Returns the words of referring expressions; of a language without spaces, parts of at least two characters."""
+    """Returns the words of referring expressions; for a language without spaces, their parts of at least two
+    characters."""
     groups = (source.nouns, source.colours, source.sizes, source.sides, source.relations, source.rooms)
     texts = [word for group in groups for words in group.values() for word in words]
     texts = [SLOT.sub(" ", text).partition(":")[0].replace("~", "") for text in (*texts, *source.ordinals.values())]

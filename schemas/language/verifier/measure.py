@@ -34,7 +34,7 @@ def at_least(value: float, band: Band) -> Truth:
 
 
 def angle_between(angle_rad: float, turn_deg: float) -> float:
-    """Returns the absolute difference of a direction in radians and one in degrees; radians in [0, pi]."""
+    """Returns the angle between a direction in radians and a direction in degrees, radians in [0, pi]."""
     return abs(math.remainder(angle_rad - math.radians(turn_deg), 2 * math.pi))
 
 
@@ -48,13 +48,13 @@ class AlongBox(NamedTuple):
     middle: float
     """Distance of the middle along the heading."""
     near: float
-    """Smallest distance to one side of the axis; negative on the other side."""
+    """Smallest distance from the axis, positive on the given side of it and negative on the other side."""
     far: float
-    """Largest distance to this side."""
+    """Largest distance from the axis, with the same signs."""
 
 
 class Footprints:
-    """Measures between the objects of a scene graph; keeps the gaps that were measured.
+    """Measures the objects of a scene graph and the gaps between them; keeps the measured gaps.
 
     Points are complex numbers x + iy, metres.
 
@@ -203,7 +203,8 @@ class Footprints:
         return sum(x * next_y - next_x * y for (x, y), (next_x, next_y) in sides) / 2 * self.height(number)
 
     def _share(self, number: int, other: int) -> float:
-        """Returns the share of an object's bounding rectangle within the footprint of another one, from samples."""
+        """Returns the share of sample points of an object's bounding rectangle that are in the footprint of another
+        one."""
         key = number, other
         if key not in self._shares:
             near = abs(self._centres[number] - self._centres[other]) < self._radii[number] + self._radii[other]

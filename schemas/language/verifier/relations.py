@@ -39,7 +39,7 @@ class ObjectRelations:
         return Truth.MAYBE if not room or not own else Truth.YES if own == room else Truth.NO
 
     def is_beside(self, number: int, thing: int) -> Truth:
-        """Returns whether a thing is close to an object, and clearly farther from all others that have a top."""
+        """Returns whether a thing is close to an object, and clearly farther from every other object with a top."""
         if self._same_room(number, thing) is Truth.NO or self._prints.rests_on(thing, number) is Truth.YES:
             return Truth.NO
         gap = self._prints.gap(number, thing)
@@ -134,8 +134,8 @@ class ObjectRelations:
         return min(found, Truth.MAYBE) if self._graph.walled[first, second] else found
 
     def is_near_enough(self, number: int, other: int, way: Selected) -> Truth:
-        """Returns `MAYBE` if the object that is called the nearest is in another room than its landmark or behind a
-        wall; otherwise `YES`."""
+        """Returns `MAYBE` if an object that is called the nearest to a landmark is not in the landmark's room, or a
+        wall is between them; otherwise `YES`."""
         if way is Selected.MOST:
             return Truth.YES
         is_far = self._same_room(number, other) is Truth.NO or self._graph.walled[number, other]

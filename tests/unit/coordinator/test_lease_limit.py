@@ -1,4 +1,4 @@
-"""The limit of the age of a lease: the job returns to the queue, and the failure counts against the host."""
+"""A lease older than the limit ends: the job returns to the queue, and the failure counts against the host."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from factory.scenes.author.placement import Rectangle
 from factory.scenes.author.room import marking
 
 BAY_M, SHELF_M = 2.72, 1.24
-"""Pitch of rack bays and of shelf units, metres."""
+"""Pitch of the bays in a row of racks, and pitch of the units in a row of shelves, metres."""
 RACK_DEPTH_M = 0.84
 _YELLOW = painted("Yellow", 0.6)
 _HAZARD = textured("Hazard", "#d8ac20", 0.5, 0.7)
@@ -30,17 +30,17 @@ class RackPlan(NamedTuple):
     """Arrangement of the rows of one hall."""
 
     kinds: tuple[str, ...]
-    """Kinds of the rows in turn: rack or shelf."""
+    """Kinds of the rows (rack or shelf), which alternate in this order."""
     is_along_x: bool
     aisle_m: float
     double: float
-    """Probability that a row has a second one at its back."""
+    """Probability that a row has a second row at its back."""
     cross: tuple[float, ...]
     """Positions of the cross aisles, as shares of the length of the rows."""
     ragged: float
     """Probability that a row is one bay shorter at an end."""
     filled: float
-    """Probability that the place of a bay is filled."""
+    """Probability that a place in a row contains a bay or a shelf unit."""
     frame: int
     """Variant of the racks and shelves: colour of the frames."""
 
@@ -74,7 +74,7 @@ class _Frame(NamedTuple):
         return Rectangle(*self.point(along[0], across[0]), *self.point(along[1], across[1]))
 
     def yaw(self, front: int) -> float:
-        """Returns the yaw of a unit whose front has a direction across the rows, -1 or 1."""
+        """Returns the yaw of a unit, radians; `front` is the direction of its front across the rows, -1 or 1."""
         return (0.0 if front < 0 else math.pi) if self.is_along_x else front * math.pi / 2
 
 

@@ -24,7 +24,7 @@ _KICKS = ("#7d868d", "#5f7d8c", "#8a7d5c", "#7a8a6a", "#8c6a5c", "#55606a")
 _ROW_DEPTH_M = (3.2, 4.2)
 """Range of the depth of the rooms beside the hall, metres."""
 _LEAST_PART_M = 2.6
-"""Least width of a part of the hall, metres."""
+"""Least length of the part of the hall beside the row of rooms, metres. If less remains, the row fills its side."""
 
 
 class _Size(NamedTuple):

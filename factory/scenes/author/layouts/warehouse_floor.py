@@ -42,11 +42,11 @@ _GATE_PITCH_M = 4.4
 _GATE_CLEAR_M = 1.8
 _OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
 _LEAST_RACK_M = 7.0
-"""Least side of a part of the hall that has racks, metres."""
+"""A part of the hall contains racks only if its shorter side has at least this length, metres."""
 
 
 class HallKind(NamedTuple):
-    """Ranges from which the properties of the rows of a kind of warehouse are drawn at random."""
+    """Kind of a warehouse. The properties of its rows are drawn at random within these limits."""
 
     kinds: tuple[str, ...]
     aisle_m: tuple[float, float]
@@ -126,7 +126,7 @@ def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
 
 
 def _split(area: Rectangle, side: str | None, share: float) -> tuple[Rectangle, Rectangle | None]:
-    """Returns the floor for racks and the floor before the gates; the latter is `None` without gates or if it is small.
+    """Returns the floor for racks and the floor before the gates, which is `None` if it is small or there are no gates.
 
     Args:
         area: floor to split.

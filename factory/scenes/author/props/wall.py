@@ -118,7 +118,7 @@ OUTLOOKS = (
 )  # fmt: skip
 """Textures of the views from windows."""
 _HORIZON = 0.42
-"""Height of the horizon in a view, as a share of its side."""
+"""Height of the horizon in a view, as a share of the side of the square texture."""
 
 
 def framed_picture(variant: int, _rng: Generator) -> list[PropPiece]:
@@ -144,8 +144,11 @@ def home_window(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def _outlook(variant: int, low: tuple[float, float], high: tuple[float, float]) -> PropPiece:
-    """A lit pane between two (x, z) corners with a part of a view of the same proportions, so it is not stretched;
-    its horizon is in the lower half of the pane."""
+    """A lit pane between two (x, z) corners.
+
+    It shows a part of a view that has the proportions of the pane, so the view is not stretched. The horizon is in the
+    lower half of the pane.
+    """
     name = OUTLOOKS[variant % len(OUTLOOKS)]
     (x0, z0), (x1, z1) = low, high
     share = min(1.0, (z1 - z0) / (x1 - x0))

@@ -19,7 +19,7 @@ _LIGHT = "#ffffff"
 
 
 def _near_white(draw: Callable[[Generator, Floats, Floats], Floats]) -> Recipe:
-    """Returns a recipe whose tone of at most 1 is multiplied with the tint of a material."""
+    """Returns the recipe of a light texture, for materials with a tint; `draw` returns the tone of each pixel, 0..1."""
 
     def recipe(rng: Generator) -> Pixels:
         return shade(_LIGHT, np.clip(draw(rng, *grid()), 0.0, 1.0))
@@ -28,7 +28,7 @@ def _near_white(draw: Callable[[Generator, Floats, Floats], Floats]) -> Recipe:
 
 
 def _boards(rng: Generator, rows: Floats, columns: Floats) -> Floats:
-    """Floor boards of 1/4 of the tile, with joints at random places."""
+    """Eight floor boards per tile, with joints at random places."""
     board = (rows // 64).astype(int)
     offset = rng.integers(0, TEXTURE_SIZE, 8)[board]
     piece = ((columns + offset) % TEXTURE_SIZE // 256).astype(int)
@@ -127,7 +127,7 @@ def _basket_parquet(rng: Generator, rows: Floats, columns: Floats) -> Floats:
 
 
 def _wide_boards(rng: Generator, rows: Floats, columns: Floats) -> Floats:
-    """Floor boards of half the usual number, without cross joints."""
+    """Four wide floor boards per tile, each with one joint."""
     board = (rows // 128).astype(int)
     tone: Floats = 0.86 + 0.12 * (rng.random(4)[board] - 0.5) + 0.05 * clouds(rng, 1.3, stretch=10.0)
     tone[(rows % 128 < 2.5) | ((columns + 256 * (board % 2)) % 512 < 2)] *= 0.6

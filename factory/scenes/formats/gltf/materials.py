@@ -72,7 +72,7 @@ def _textured(document: Document, surface: Surface, info: dict[str, Any], user: 
 
 
 def _affine(transform: dict[str, Any]) -> Affine:
-    """Returns the transform of texture coordinates, with v from the bottom afterwards (KHR_texture_transform)."""
+    """Returns the transform of texture coordinates (KHR_texture_transform). In the result, v starts at the bottom."""
     if not transform:
         return _FLIP
     su, sv = (float(value) for value in transform.get("scale", (1.0, 1.0)))

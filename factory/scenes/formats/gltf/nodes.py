@@ -48,7 +48,7 @@ class _Reader:
     pieces: dict[int, tuple[Piece, ...]] = field(default_factory=dict)
     """Pieces by number of the mesh."""
     counts: Counter[str] = field(default_factory=Counter)
-    """Number of nodes with a feature that is not kept."""
+    """Note on a feature that is not imported -> number of its uses."""
 
     def note(self, text: str) -> None:
         self.document.files.scene.notes.append(text)

@@ -1,4 +1,4 @@
-"""Which targets have far starts depends on the plan's minimum far distance; packages record the default only."""
+"""Far starts of a target depend on the plan's minimum far distance; packages list far tiers for the default only."""
 
 from __future__ import annotations
 

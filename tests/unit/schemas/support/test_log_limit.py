@@ -1,4 +1,4 @@
-"""Repeated events in the log: a line at once, a few lines later, and a line at the end."""
+"""Repeated events in the log: the first is logged at once, a few later ones are logged, and the end is logged."""
 
 from __future__ import annotations
 
