@@ -30,8 +30,8 @@ def pack_settled(
 ) -> int:
     """Packs the settled ranges of a run: all jobs of the range are archived, failed or cancelled.
 
-    Episodes that are archived after their range was packed remain files until the run is over. Datasets of one range
-    and recordings of frames are not packed.
+    Episodes that are archived after their range was packed remain files until the run is over. Datasets of one range,
+    and datasets of frames, are not packed.
 
     Args:
         archive: archive of the run, held exclusively.

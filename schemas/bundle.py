@@ -44,7 +44,7 @@ _STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
 
 def encode_depth(depth: NDArray[np.float32]) -> bytes:
     """Returns a depth image as a bundle stores it. It has no checksum of zstandard, because the container has a CRC of
-    each member, and the metadata a digest of each frame."""
+    each member and the metadata has a digest of each frame."""
     return encode_npy_zst(depth, checksum=False)
 
 

@@ -38,7 +38,7 @@ def side_of(split: Split) -> Side:
 
 
 def startable_tiers(plan: Plan, scene: ScenePlan, target: Target) -> tuple[Tier, ...]:
-    """Returns the tiers from which the plan's expert can start for a target of a scene."""
+    """Returns the tiers in which a target of a scene has a start pose that the plan's expert can use."""
     is_any_start = plan.expert is ExpertName.PLANNER or not plan.spawn_of(scene.name).needs_free_line
     return target.tiers(plan.task.success, is_any_start)
 
@@ -47,8 +47,8 @@ def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cel
     """Returns the side of every startable instance of a seen category; empty if the plan does not separate instances.
 
     The instances of each category are divided in proportion to the episodes of training and evaluation, with at least
-    one instance per side. A category with a single instance is shared. So are all categories of a tier in which a cell
-    would otherwise have no target.
+    one instance per side. A category with a single instance is shared. If a cell would otherwise have no target, the
+    categories with starts in its tier are shared, too.
     """
     wanted = dict.fromkeys((Side.TRAIN, Side.EVALUATION), 0)
     for (split, _), count in quota.items():

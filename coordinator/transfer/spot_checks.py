@@ -60,7 +60,7 @@ class SpotCheckedValidation:
         self._secret = secret or secrets.token_bytes(32)
         self._is_trusted: dict[str, bool] = {}
         """Whether bundles of a host may be validated without their frames, by host: `True` after a bundle that was
-        validated completely and is valid, always `False` after an invalid bundle. Other hosts are missing."""
+        validated completely and is valid, always `False` after an invalid bundle. Other hosts have no entry."""
 
     def validate(self, arrivals: Sequence[Arrival]) -> list[ValidatedBundle | InvalidBundle]:
         """Validates bundles; returns the result or the violations of each.

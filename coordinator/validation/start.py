@@ -27,7 +27,7 @@ def start_findings(
     depth: NDArray[np.float32],
     candidates: Sequence[Target] = (),
 ) -> list[str]:
-    """Returns the conditions of the job on the image and heading at the start that the episode does not meet.
+    """Returns the start conditions of the job, on image and heading, that the episode does not meet.
 
     The coordinator computes the conditions from the compiled scene and leases them with the job; a worker that changes
     them is refused, because its job differs from the leased one.

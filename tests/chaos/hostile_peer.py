@@ -48,8 +48,7 @@ _BEAT_S = 0.5
 _HELD_S = 4.0
 """Time for which a job is held without progress, seconds."""
 _SLOW_S, _SLOW_BYTES = 0.3, 512
-"""A session waits for the first number of seconds before it answers a request for a chunk of a slow bundle. The answer
-has the second number of bytes."""
+"""Delay before a session answers a request for a chunk of a slow bundle, seconds, and the size of the answer, bytes."""
 _PAUSES = "no job for a hostile peer that pauses or is barred"
 _RETRY_S = 0.5
 """Threshold of the retry delay in a claim reply, seconds. A longer delay means that the host pauses or is barred."""

@@ -124,7 +124,7 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
         """Selects the scene and the camera. Recently used scenes stay prepared, so their next use is fast."""
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
-        """Selects a scene as `load`, without a reference to it.
+        """Does what `load` does, but takes a key and a function that reads the scene.
 
         Args:
             key: key of the scene; equal keys are the same scene.

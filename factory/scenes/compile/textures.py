@@ -52,7 +52,7 @@ def load_textures(
     Args:
         areas: area that each texture path covers, square metres; the largest get a layer.
         read: function that returns the bytes of a path, a texture to draw, or `None`.
-        users: one prim that uses each texture, for the notes.
+        users: for each texture path, a prim that uses it and that notes name.
         draw: function that returns the pixels of a texture to draw; a scene from a file has none.
     """
     notes: list[str] = []

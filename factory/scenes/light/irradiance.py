@@ -23,8 +23,7 @@ _LAMPS_A_CELL = 24
 _HIDDEN_SHARE = 0.35
 """A spot is inside a solid if more than this share of its rays meet a back face."""
 _COVER_M, _COVERED_SHARE = 0.03, 0.7
-"""A spot is covered if more than the second number, a share, of its rays meet a surface within the first number,
-metres."""
+"""A spot is covered if more than `_COVERED_SHARE` of its rays meet a surface within `_COVER_M`, metres."""
 _CHUNK = 1 << 13
 """Number of texels per batch; the working set of a batch fits the processor cache."""
 _LAMP_CHUNK = 1 << 12
