@@ -98,8 +98,8 @@ class SceneFacts:
     def _rooms(self) -> Masks:
         """(N, N) pairs in one room; both masks include each pair with an object whose room is unknown."""
         room = self.graph.room_of
-        same, unknown = room[:, None] == room, (room[:, None] == 0) | (room == 0)
-        return Masks((same & ~unknown) | unknown, same | unknown)
+        same = (room[:, None] == room) | (room[:, None] == 0) | (room == 0)
+        return Masks(same, same)
 
     @cached_property
     def same_room(self) -> Masks:
