@@ -7,7 +7,8 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 
 _LEAST_S = 10.0
-"""Smallest clock change that is reported, seconds. After a smaller change the next heartbeat renews every lease."""
+"""Smallest clock change that is reported, seconds. Smaller changes need no action, because the next heartbeat renews
+every lease."""
 
 
 def utc_now() -> datetime:

@@ -89,8 +89,8 @@ class Plan(Model):
     """Sensors that a recording of frames stores in addition to the recorded camera, and the default rig of readers of a
     recording of states; null and omitted for none."""
     appearance: AppearanceData | None = Field(default=None, exclude_if=lambda it: it is None)
-    """Ranges of the appearance of the frames of a recording of frames, and default appearance of readers of a recording
-    of states; null and omitted for none."""
+    """Ranges from which the appearance of recorded frames is drawn. For a recording of states, readers draw from them
+    by default. Null and omitted for none."""
     colors: Literal["on", "off"] = "on"
     """Whether instructions may name colours; with `off`, as in the published data, every colour is unknown and no
     template names a colour."""

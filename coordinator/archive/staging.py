@@ -93,7 +93,7 @@ class Staged(Closing):
     def flush(self) -> None:
         """Flushes the bytes durably to the disk, and frees the page cache of a large file that was transferred.
 
-        The next file is then written to the same memory. Small files keep their cache, because packing reads them.
+        The next file can then use this memory. Small files keep their cache, because packing reads them.
 
         Raises:
             WorldError: the disk is full or unavailable; the part file has been removed.

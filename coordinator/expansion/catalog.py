@@ -88,5 +88,5 @@ def read_entry(path: Path) -> SceneEntry:
 
 
 @functools.lru_cache(maxsize=_KEPT_INFOS)
-def _read_info(path: Path, sha256: str) -> SceneInfo:  # noqa: ARG001 - the key of the content
+def _read_info(path: Path, sha256: str) -> SceneInfo:  # noqa: ARG001 - part of the key of the cache
     return read_info(path)

@@ -34,7 +34,7 @@ _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
 _LONGEST_REST_S = 600.0
-"""Longest remaining pause of a job that `grant_grace` does not end, seconds. No normal pause is as long."""
+"""`grant_grace` ends pauses of jobs that would last longer than this, seconds. Normal pauses are shorter."""
 
 BY_TOKEN = select(*JOB).where(jobs.c.token == bindparam("of_token"))
 NEXT_ID = (

@@ -26,9 +26,9 @@ Configure = Callable[[Sequence[str], Admitted], zenoh.Config]
 """Function of endpoints and admission list that returns the configuration."""
 
 _THREADS = "(rx: (worker_threads: 8), acc: (worker_threads: 32))"
-"""Numbers of threads of zenoh's runtimes. A client that blocks can block a receiving thread, so two such clients could
-block two receiving threads. An accepting thread that closes a connection without a handshake waits for the peer; a
-single thread closed 150 such connections per second."""
+"""Numbers of threads of zenoh's runtimes; by default, two threads receive and one accepts. A client that stops reading
+can block a receiving thread, so two such clients would stop all receiving. An accepting thread waits for the peer when
+it closes a connection without a handshake; a single thread closed 150 such connections per second."""
 _ANY_PORT = ":0"
 _PORT_TRIES = 5
 _REOPEN_PAUSE_S = 0.2

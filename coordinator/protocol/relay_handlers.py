@@ -53,7 +53,7 @@ _OF_THE_JOB = (
 )
 """Fields that an episode's row copies from its job under the same name."""
 _MOST_AHEAD = 10_000
-"""Maximum difference between the attempt of a file and the earlier attempt in a rebuilt ledger."""
+"""Maximum number by which the attempt of a file may exceed the attempt of its job in a rebuilt ledger."""
 _DRAW = select(jobs).where(jobs.c.idx == bindparam("index"), jobs.c.draw == bindparam("of_draw"))
 _CURRENT = select(jobs).where(jobs.c.idx.in_(bindparam("indices", expanding=True)), jobs.c.superseded.is_(False))
 

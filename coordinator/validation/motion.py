@@ -47,10 +47,10 @@ SKID_TURN = 4.0
 tail-heavy robot oversteers in fast bends and can spin at 5 rad/s (4 of 700 episodes, all timeouts). Slow turns and
 straight motion have no allowance."""
 SKID_PATH_M = 1.0
-"""Additional tolerated error of the driven distance: metres per second in a bend, and per m/s2 of the bend. For a
-spinning robot, up to 0.65 was measured."""
+"""Additional tolerated error of the driven distance in a bend, metres for each second and each m/s2 of `_Drive.bend`.
+For a spinning robot, up to 0.65 was measured."""
 SKID_STEP_M = 0.008
-"""Additional tolerated displacement per step in a bend, in any direction: metres per m/s2 of the bend."""
+"""Additional tolerated displacement per step in a bend, in any direction, metres for each m/s2 of `_Drive.bend`."""
 SKID_STEPS = 90
 """Number of periods for which a skid may outlast its bend."""
 WINDOW_STEPS = 60

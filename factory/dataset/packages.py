@@ -74,7 +74,7 @@ class ScenePackage(NamedTuple):
         """
         return _appearance_scene(self, with_light)
 
-    @functools.lru_cache(maxsize=_KEPT_INFOS)  # noqa: B019 - the keys are values, and few
+    @functools.lru_cache(maxsize=_KEPT_INFOS)  # noqa: B019 - keeps few instances, all small tuples
     def info(self) -> SceneInfo:
         """Returns the metadata of the scene; raises the errors of `read`."""
         return read_info(find_package_file(*self))

@@ -152,7 +152,8 @@ class _TrialProcess:
     def __init__(self, run: GateRun, bundle: Path, slots: int) -> None:
         self._run, self._bundle = run, bundle
         self._poll_s = _POLL_S / slots
-        limit_s = _HANG_S / slots  # silence counts only during a poll, 1/slots of the time
+        # a process is polled for 1/slots of the time, and only this time counts as time without a report
+        limit_s = _HANG_S / slots
         self._simulation = Simulation(run.command, limit_s, limit_s)
         self._job: Job | None = None
         self._is_ready = False

@@ -21,7 +21,7 @@ class _Lidar(MountedSensor):
     azimuth_min_deg: _Azimuth = -180.0
     """First azimuth, degrees, counter-clockwise from x of the sensor frame."""
     azimuth_max_deg: _Azimuth = 180.0
-    """Azimuth at which the scan ends, degrees; no ray has it."""
+    """Azimuth at which the scan ends, degrees; excluded."""
     range_min_m: Positive
     """Shortest range with a measurement, metres."""
     range_max_m: Positive

@@ -47,7 +47,7 @@ def test_a_checkpoint_of_the_changes_has_the_bytes_of_completely_rewritten_table
 
 
 def test_a_checkpoint_reads_only_the_rows_that_have_changed(tmp_path: Path) -> None:
-    """Deletes rows without an event, which happens only in tests; the next checkpoint must not notice it."""
+    """Deletes rows without recording an event, as only tests do; the next checkpoint must not notice the deletion."""
     timed_ledger = TimedLedger(room_plan(GROUP_ROWS + 1))
     lease = timed_ledger.lease()
     assert timed_ledger.done(lease)

@@ -213,7 +213,7 @@ class SlurmCluster:
 
 def _signal_all(pids: Iterable[int], number: int) -> None:
     for pid in pids:
-        with contextlib.suppress(ProcessLookupError):  # the process ended when a process before it was killed
+        with contextlib.suppress(ProcessLookupError):  # it ended when an earlier process of the list was killed
             os.kill(pid, number)
 
 

@@ -21,7 +21,7 @@ from workers.appearance.relight import LAMP_K
 
 @dataclass(frozen=True, eq=False)
 class AppearanceScene:
-    """Scene with what its appearance depends on; prepared once for all of its episodes."""
+    """Scene with the data from which its appearances are drawn; prepared once for all of its episodes."""
 
     scene: CompiledScene
     """Compiled scene."""

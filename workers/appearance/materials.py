@@ -25,9 +25,8 @@ _SAMPLES = 300
 _DOWN = -0.7
 _MAIN_SHARE = 0.25
 """Smallest area of a slot that gets a new colour, as a share of the largest slot with the same texture; smaller slots
-are trims. A texture is not replaced if its largest slot covers less than a quarter of `_MAIN_SHARE` of the area of all
-walls or all floors.
-"""
+are trims. A texture is not replaced if its largest slot covers less than `_MAIN_SHARE` / 4 of the total area of the
+walls or of the floors."""
 _TINTS = (0.8, 1.0)
 """Range of the factor that darkens the textures of objects."""
 

@@ -213,8 +213,8 @@ class Spool(Closing):
             yield
         except OSError as error:
             raise WorldError(
-                f"the spool {self.directory} cannot be used: {error.strerror or error}; restart the worker, which "
-                "creates the folder again, free some space, or choose another folder with --spool"
+                f"the spool {self.directory} cannot be used: {error.strerror or error}; restart the worker (it "
+                "creates the folder again), free some space, or choose another folder with --spool"
             ) from error
 
     def _file(self, lease: Lease, suffix: str) -> Path:

@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 def kept_with_grid(
     most: int,
 ) -> Callable[[Callable[[Grid, Unpack[Key]], Result]], Callable[[Grid, Unpack[Key]], Result]]:
-    """Returns a decorator that keeps, for each grid, the `most` results of a function that were used last.
+    """Returns a decorator that keeps the `most` most recently used results of a function for each grid.
 
     Args:
         most: number of results of a grid, at least 1. The oldest is freed before a new one is computed.

@@ -148,8 +148,8 @@ def _search(
 
 
 _STRIDE = 1 << 16
-"""Factor of the column number in the number of a state; larger than the number of cells of side `_CELL_M` in a column
-of any grid."""
+"""Factor of the column in the integer that identifies a state; larger than the number of rows of `_CELL_M` in any
+grid."""
 _ARCS = tuple(tuple((*move[:6], move.turn * _TURN_COST_M) for move in moves if move.length_m) for moves in MOVES)
 """Arcs from each heading: displacements, heading, length, and cost of the turn, metres of path."""
 _SPOT_TURNS = tuple(tuple(move.heading for move in moves if not move.length_m) for moves in MOVES)

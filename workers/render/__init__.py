@@ -133,7 +133,7 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
         """
 
     def make_room(self) -> None:
-        """Frees the prepared scenes that the next new scene replaces, so it is read with less memory.
+        """Frees the prepared scenes that the next new scene will replace, before it is read, to reduce peak memory.
 
         If this frees the selected scene, `load` must select one before the next frame.
         """

@@ -80,7 +80,7 @@ class ProcessRenderer(Closing):
         self._process.ask(RequestKind.LOAD, scene=self._shelf.take(key, read).number, camera=camera)
 
     def make_room(self) -> None:
-        """Frees the stored packages that the next new scene replaces; see `Renderer`."""
+        """Frees the stored packages that the next new scene will replace; see `Renderer`."""
         self._shelf.make_room()
 
     @property

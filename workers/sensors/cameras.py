@@ -14,7 +14,7 @@ from workers.sensors.streams import NoiseKey
 
 
 def colour_steps(camera: Camera, step: int, control_hz: int) -> Floats:
-    """Returns the times (K,) at which to render the images of `sense_colour`, control steps up to `step`.
+    """Returns the times (K,) at which to render the images for `sense_colour`, control steps, none after `step`.
 
     The poses at these times are those of `workers.sensors.frames.poses_at`.
     """

@@ -69,7 +69,7 @@ class NoiseKey:
         return self.stream(effect, step)(shape)
 
     def stream(self, effect: Effect, step: int = 0) -> Callable[[int | tuple[int, ...]], NDArray[np.uint16]]:
-        """Returns a function with the argument `shape` that returns the numbers of `bits` part by part.
+        """Returns a function `draw(shape)`; successive calls return successive parts of the sequence of `bits`.
 
         The size of each part except the last must be a multiple of 4.
         """

@@ -86,7 +86,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class FarmReading:
-    """State of a farm beyond its progress."""
+    """State of a farm, in addition to its progress."""
 
     cells: dict[tuple[str, str, str], dict[str, int]]
     """Number of current draws by (scene, tier, split), and for each such cell by state. The numbers of a cell add up to

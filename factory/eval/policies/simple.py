@@ -85,7 +85,7 @@ class PlaybackPolicy(_Recorded):
 
 
 class ExpertPolicy(PrivilegedPolicy):
-    """Policy that runs the expert of data collection of that name, with the same ground truth."""
+    """Policy that runs an expert of the data collection, with the same ground truth."""
 
     knows = "goal, map and instance ids"
 

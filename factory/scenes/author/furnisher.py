@@ -47,7 +47,7 @@ class Furnisher:
         return "".join(sorted(order, key=lambda side: side in self.room.doors))
 
     def model(self, name: str, variant: int | None = None) -> PropModel:
-        """Returns a model, by default in a random variant; of the models in `_FEW`, a building uses few variants."""
+        """Returns a model, by default in a random variant; for models in `_FEW`, in one of the few of the building."""
         if variant is None:
             few = _FEW.get(name)
             variant = self.plan.pick(_VARIANTS) if few is None else self.palette.art + self.plan.pick(few)

@@ -43,8 +43,8 @@ class SceneFiles:
         """Returns the content of a file.
 
         Raises:
-            ValueError: the file is missing, and `skip_missing` is set.
-            WorldError: the file is missing, outside of the folders or too large.
+            ValueError: the file is missing and `skip_missing` is set, so the caller can skip it.
+            WorldError: the file is missing and `skip_missing` is not set, or it is outside of the folders or too large.
         """
         if not self.is_usable(path, self.root.name):
             self.require_all()

@@ -19,8 +19,8 @@ SHELTER = 0.6
 _EXPOSURE = 1.3
 """Mean light before the tone curve, for a scene whose exposure is not corrected; in the unit of `WHITE`."""
 _GREY, _ADAPTATION = 0.38, 0.6
-"""Mean reflectance of a scene whose exposure is not corrected. For other scenes, the exposure is multiplied by (first
-number / mean reflectance) to the power of the second number, within limits."""
+"""`_GREY` is the mean reflectance of a scene whose exposure is not corrected. For other scenes, the exposure is
+multiplied by (`_GREY` / mean reflectance) to the power of `_ADAPTATION`, within limits."""
 _MOST_CORRECTION = 1.35
 WHITE = 3.0
 """Light that the tone curve maps to 1; brighter light is clipped."""

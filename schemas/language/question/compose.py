@@ -220,8 +220,8 @@ class _Answers:
         return QuestionMeaning(kind=QuestionKind.WHERE, answer=AnswerKind.UNSEEN, reason=reason)
 
     def _feasible(self, language: SpokenLanguage, held_out: bool) -> _Answer | None:
-        """Returns a question whether an instruction can be followed from the start of the episode. The instruction is
-        drawn so that it fits one object, none or several."""
+        """Returns a question that asks whether an instruction can be followed from the start of the episode. The
+        instruction is drawn so that it fits one object, none or several."""
         draw, view = self._rng.random(), look(self._graph, self._path.pose(0), self._place.camera)
         scene, number = self._scene, self._episode.number
         text, answer, reason = None, AnswerKind.NO, ReasonKind.NONE_FITS

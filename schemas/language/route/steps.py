@@ -29,8 +29,8 @@ _LATER = frozenset(Family) - {Family.VIEW}
 """Features that the last step of a route with several steps may use. `VIEW` is excluded, because "as seen from here"
 would mean the start of the route."""
 _SHORT_M = 0.8
-"""Length up to which the rest of a straight run gets no separate step, metres. It belongs to the step before it in the
-same run, or if there is none, to the turn after it."""
+"""Longest end of a straight run that gets no separate step, metres. Such an end joins the previous step of the run, or
+the turn after the run if the run has no step."""
 _BEYOND_M = 0.3
 """Distance that a step continues after a doorway or an object, metres."""
 _APART_M = 2.0

@@ -79,7 +79,7 @@ def test_a_hidden_object_could_not_be_the_target():
     assert _found(LEFT, RIGHT, hidden=5) == [3]
 
 
-def test_of_two_objects_with_a_common_place_of_success_neither_could_be_the_target():
+def test_two_objects_with_overlapping_success_regions_could_not_be_the_target():
     close = _target(7, 2.8, -20)
     assert _found(LEFT, RIGHT, close) == [3]
     assert _found(LEFT, RIGHT, close, hidden=7) == [3, 5]

@@ -57,7 +57,7 @@ def test_a_ring_is_at_one_distance_in_the_given_directions(goal: Goal) -> None:
 
 
 @pytest.mark.parametrize("goal", [BY_SURFACE, BY_CENTROID])
-def test_rings_at_several_distances_have_the_bits_of_each_ring(goal: Goal) -> None:
+def test_rings_computed_at_once_equal_single_rings_bit_for_bit(goal: Goal) -> None:
     angle = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
     rays, distances = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([0.3, 1.5, 2.5])
     at_once = goal.ring(np.tile(rays, (3, 1)), np.repeat(distances, 48))
@@ -66,7 +66,7 @@ def test_rings_at_several_distances_have_the_bits_of_each_ring(goal: Goal) -> No
 
 @pytest.mark.parametrize("footprint", [TABLE, ((0.0, 0.0), (2.0, 0.1), (0.5, 1.0)), TABLE[:2], TABLE[:1]])
 @pytest.mark.parametrize("distance", [-0.1, 0.0, 0.97])
-def test_approach_has_the_bits_of_a_bisection_in_36_steps(
+def test_approach_equals_a_bisection_in_36_steps_bit_for_bit(
     footprint: tuple[tuple[float, float], ...], distance: float
 ) -> None:
     centre = np.mean(footprint, axis=0)

@@ -20,8 +20,8 @@ from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names
 _SHOWN_GROUPS = 3
 """Geoms of groups 0 to 2 are visible in MuJoCo's viewer; those of groups 3 to 5 are for collision."""
 _SOLID_GROUP = 0
-"""Geoms of this group are visible, unless other geoms of the same body are visible and do not collide. In that case,
-they are for collision only."""
+"""Geoms of this group are visible. If their body also has visible geoms that do not collide, the geoms of this group
+are for collision only."""
 
 
 def read_mjcf(path: Path, files: SceneFiles) -> None:

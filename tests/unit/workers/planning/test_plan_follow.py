@@ -98,7 +98,7 @@ def test_an_empty_path_needs_no_driving():
     assert follower.act(Pose.planar(0, 0, 0), 1.0) == (0.0, 0.0)
 
 
-def test_interpolation_at_one_place_has_the_bits_of_numpy():
+def test_interpolation_at_one_place_equals_that_of_numpy_bit_for_bit():
     rng = np.random.default_rng(3)
     for count in (2, 3, 40):
         places = np.cumsum(rng.uniform(0.01, 0.3, count))

@@ -24,7 +24,7 @@ def test_applying_the_settings_twice_has_no_effect() -> None:
     assert one_core(one_core({})) == one_core({})
 
 
-def test_a_process_of_many_scenes_returns_freed_arrays() -> None:
+def test_a_process_of_many_scenes_returns_the_memory_of_freed_arrays_to_the_system() -> None:
     tuned = one_core({"GLIBC_TUNABLES": "glibc.malloc.mmap_threshold=1:glibc.malloc.check=3"}, many_scenes=True)
     assert tuned["GLIBC_TUNABLES"] == (
         "glibc.malloc.check=3:glibc.malloc.hugetlb=1:glibc.malloc.mmap_threshold=4194304"

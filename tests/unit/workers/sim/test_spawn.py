@@ -189,7 +189,7 @@ def test_blind_starts_in_sight_are_on_the_side_of_the_target_with_or_without_a_f
     assert 0 < sum(is_line_free(place, start) for start in starts) < 40
 
 
-def test_far_starts_with_the_screening_sight_are_those_of_blind_draws() -> None:
+def test_far_starts_with_screening_sight_equal_those_without_screening() -> None:
     place = divided_room()
     blind, sight = (
         starts_of(place, 12, tier=Tier.FAR, **screened(screening)) for screening in (Screening.NONE, Screening.SIGHT)

@@ -1,1 +1,1 @@
-"""The four layouts of the paper, for seed 0 of a scene name without number. Their packages must not change."""
+"""The four layouts of the paper, which scene names without a number have at seed 0. Their packages must not change."""

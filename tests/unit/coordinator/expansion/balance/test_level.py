@@ -92,7 +92,7 @@ def test_categories_that_only_one_scene_has_are_drawn_in_this_scene_and_shared_c
     assert _categories(plan.model_copy(update={"balance": "categories"})) == {"chair": 40, "sofa": 10, "table": 10}
 
 
-def test_redraws_of_an_even_plan_keep_the_category_for_half_of_the_draws():
+def test_redraws_of_an_even_plan_keep_the_category_for_the_first_half_of_the_draws():
     plan = shrink(BALANCED, episodes=24)
     catalog = make_catalog(plan, per_category=2)
     for job in expand(plan, catalog):

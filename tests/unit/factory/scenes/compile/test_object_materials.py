@@ -33,7 +33,7 @@ def part(path: str, area_m2: float, surface: Surface) -> Part:
         ("", "", UNKNOWN),
     ],
 )
-def test_a_name_without_the_word_of_a_single_material_gives_no_substance(name, texture, substance):
+def test_a_name_gives_a_substance_only_if_it_names_exactly_one_material(name, texture, substance):
     assert substance_of(Surface(name=name, texture=texture)) == substance
 
 

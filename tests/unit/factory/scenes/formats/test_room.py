@@ -103,7 +103,7 @@ def test_the_page_states_what_each_format_keeps() -> None:
         assert stated["lights"] == "no"
 
 
-def test_the_shell_completes_files_of_the_formats_with_their_name(tmp_path: Path) -> None:
+def test_shell_completion_offers_scene_files_and_names_their_formats(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("")
     write_room(tmp_path, ".stl")
     (argument,) = [one for one in import_.params if one.name == "file"]
