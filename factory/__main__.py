@@ -1,13 +1,13 @@
 """Entry point of `factory` and `python -m factory`: removes the working directory from the import path.
 
 Then it runs the command line. `python -m` and an empty entry in `PYTHONPATH` add the working directory to the import
-path. If that directory contains a file such as `json.py`, Python would import this file instead of the real module.
+path. If it stayed there, Python would import a file such as `json.py` in it instead of the real module.
 """
 
 import os
 import sys
 
-_HERE = os.getcwd()  # noqa: PTH109 - pathlib could be imported from there
+_HERE = os.getcwd()  # noqa: PTH109 - the directory could contain a pathlib.py
 if not __file__.startswith(os.path.join(_HERE, "factory", "")):  # noqa: PTH118
     sys.path[:] = [entry for entry in sys.path if entry not in {"", _HERE}]
 

@@ -43,7 +43,7 @@ _STATES_MEMBERS = len(EPISODE_ARRAYS) + 1
 
 
 def encode_depth(depth: NDArray[np.float32]) -> bytes:
-    """Returns a depth image as a bundle stores it. It has no checksum of zstandard, because the container has a CRC of
+    """Returns a depth image as a bundle stores it. It has no zstandard checksum, because the container has a CRC of
     each member and the metadata has a digest of each frame."""
     return encode_npy_zst(depth, checksum=False)
 
@@ -57,7 +57,7 @@ def member_names(frames: int, of_rig: Iterable[str] = ()) -> tuple[str, ...]:
 
     Args:
         frames: number of stored frames.
-        of_rig: names of the members with the measurements of a rig.
+        of_rig: names of the members that contain the measurements of a rig.
     """
     of_frames = (name for t in range(frames) for name in _frame_names(t))
     return (*of_frames, *of_rig, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)

@@ -26,7 +26,7 @@ class TaskConfig(Model):
     """Measure of the distance to the target; omitted if `centroid`, the only measure of the first versions. The
     default of a plan file is `surface`."""
     success_radius_m: Positive = 1.0
-    """Largest planar distance of base_link from the target in a success, by the success measure, metres."""
+    """Largest planar distance from base_link to the target in a success, by the success measure, metres."""
     hold_steps: Annotated[int, Field(ge=1, le=1000)] = 5
     """Consecutive stationary steps inside the radius that make a success."""
     stationary_speed_mps: Positive = 0.02
@@ -111,7 +111,7 @@ class SpawnConfig(Model):
     physics_draws: Annotated[int, Field(ge=1, le=64)] = 8
     """Largest number of start poses that an attempt tests in physics before it fails with the reason `spawn`."""
     grid_draws: Annotated[int, Field(ge=1, le=10000)] = 400
-    """Largest number of distances, in the far tier of surveyed points, that a draw tests on the occupancy grid."""
+    """Largest number of distances (far tier: of surveyed points) that a draw tests on the occupancy grid."""
     warmup_steps: Annotated[int, Field(ge=1, le=10_000)] = 3
     """Length of the warm-up in which the robot must keep its place, steps."""
     max_displacement_m: Positive = 0.08

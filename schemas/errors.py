@@ -21,7 +21,7 @@ class WorldError(FactoryError):
 
 
 class RunFinished(WorldError):
-    """The run is finished and its coordinator has ended; it needs no worker."""
+    """The run is finished and its coordinator has ended, so no worker is needed."""
 
 
 class LayoutError(WorldError):

@@ -1,4 +1,4 @@
-"""Finds the objects that could be the target of an episode, as far as the image at its start shows.
+"""Finds the objects that could be the target of an episode, judging by the image at its start.
 
 The worker draws the target from these objects; validation and statistics find the objects again. Pure functions; they
 read no file.
@@ -20,8 +20,8 @@ from schemas.terms import TIER_RANGE_M
 
 
 def candidates_of(job: Job, info: SceneInfo) -> tuple[Target, ...]:
-    """Returns the targets that an episode may have, the planned one first; the others exist only if the target is drawn
-    at the start."""
+    """Returns the targets that an episode may have, the planned one first; there are others only if the target is
+    drawn at the start."""
     planned = info.target(job.target_id)
     if job.choice is None:
         return (planned,)
@@ -56,7 +56,7 @@ def may_exchange(job: Job, candidates: Sequence[Target], start: tuple[float, flo
 
 
 def _count_apart(job: Job, targets: Sequence[Target]) -> list[int]:
-    """Returns for each target the number of other targets whose success region does not overlap with its own."""
+    """Returns, for each target, the number of other targets whose success region does not overlap with its own."""
     goals = [Goal.of(each, job.task) for each in targets]
     return [sum(own is not other and own.is_disjoint(other) for other in goals) for own in goals]
 

@@ -12,7 +12,7 @@ _Word = Annotated[str, StringConstraints(max_length=200)]
 
 
 class Fingerprint(Model):
-    """Versions and machine properties that may affect the bits of a frame (docs/design/reproducibility.md#machines)."""
+    """Versions and machine properties that may affect a frame's bytes (docs/design/reproducibility.md#machines)."""
 
     software: Annotated[dict[_Word, _Word], Field(max_length=64)]
     """Versions, by package name, of all software that affects the recorded bytes, this product included."""

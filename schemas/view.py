@@ -1,4 +1,4 @@
-"""View settings: what images and measurements of an episode depend on, apart from its scene, poses and recorded camera.
+"""View settings, which determine images and measurements together with the scene, poses and recorded camera.
 
 The settings are part of a plan, travel in a job, and are recorded in the metadata. Renders nothing.
 """

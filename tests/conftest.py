@@ -53,7 +53,7 @@ def pytest_collection() -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Enables the garbage collector, less often, and without the objects that test collection has created."""
+    """Enables the garbage collector with fewer collections, which skip the objects that test collection has created."""
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
     gc.enable()

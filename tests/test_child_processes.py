@@ -30,7 +30,7 @@ def test_the_traceback_of_a_new_process_fails_the_test() -> None:
         in_fresh_process(fail)
 
 
-def test_a_hanging_process_shows_its_stacks_and_ends_with_its_forks(
+def test_a_hanging_process_shows_its_stacks_and_is_killed_with_its_forks(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(pytest.fail.Exception, match="no result after 5 s; the stacks are on stderr"):

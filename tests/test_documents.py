@@ -24,7 +24,7 @@ CITING = [*PAGES, *SOURCES, ROOT / "Makefile", ROOT / "pyproject.toml", ROOT / "
 HISTORY = ROOT / "CHANGELOG.md"
 """Each entry keeps the names and paths that were valid at its date."""
 OTHERS = re.compile(r"\b(DESIGN|STYLE) \d|\b(DESIGN|STYLE)\.md|\bnotes/|\bnotes of the project")
-"""Former citations of documents outside the repository."""
+"""Citations of documents that are not in the repository."""
 PATH = re.compile(rf"(?<![\w./:\-])((?:{'|'.join(PACKAGES)}|tests|docs|deploy)/[\w./\-]+)(#[\w\-]+)?")
 MADE = {"tests/data", "factory/run"}
 """Texts in the documents that look like paths but are not paths."""

@@ -109,7 +109,7 @@ def test_only_two_modules_define_how_a_with_block_ends():
     assert writers == {"schemas/support/closing.py", "factory/export/video.py"}
 
 
-def test_modules_import_each_other_without_cycles():
+def test_imports_between_modules_form_no_cycle():
     names = {_module(path): path for path in sources()}
     graph = {
         name: {other for other in imports_of(path) if other in names and other != name} for name, path in names.items()

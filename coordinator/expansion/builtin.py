@@ -19,7 +19,8 @@ _DEMO = Plan(
     balance="categories",
     task=_BY_SURFACE,
 )
-"""16 near episodes: four per scene, one of each split except val_id. It takes minutes on two cores and under 1 GB."""
+"""16 near episodes: four per scene, one of each split except val_id. With frames, it takes minutes on two cores and
+less than 1 GB of disk space."""
 
 _PAPER = Plan(
     name="paper",

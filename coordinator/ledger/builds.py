@@ -1,4 +1,4 @@
-"""Jobs that build the packages of layouts. Each seed that is tried has a row in `jobs`; the seed's number is its draw.
+"""Jobs that build the packages of layouts. Each seed that is tried has a row in `jobs`; its draw is the seed's number.
 
 The module records no outcome; `outcomes` inserts the episodes of a layout when its package is recorded.
 """

@@ -1,7 +1,7 @@
 """Records which archived episodes a gateway stores; the core stores the others. Does not change jobs.
 
-The name of this table in the database is `keepers`. Ledgers of format 1 do not have it until they are opened for
-writing.
+The table of the gateways' episodes is named `keepers` in the database. A ledger of format 1 gets the table when it is
+opened for writing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Counts jobs by state and cell, and attempts by outcome, by triggers of the database.
+"""Counts jobs by state and cell, and attempts by outcome, with database triggers.
 
 The counts change in the transaction of each change. Therefore reading them takes the same time for any number of jobs.
 """

@@ -1,7 +1,7 @@
 """Quarantines or cancels the unfinished jobs of a finished shard in the ledger of a joined run.
 
-The tables of a dataset list failed attempts, but no states: a job of a finished shard without an episode was
-quarantined or cancelled in the shard.
+The tables of a shard list its failed attempts, but not the states of its jobs. If the shard is finished, a job without
+an episode was quarantined or cancelled there.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
         for index in difference.missing:
             _requeue(connection, index, now, GONE, result)
         for index in difference.elsewhere:
-            record_at_core(connection, index)  # `factory gather` was interrupted before it recorded this
+            record_at_core(connection, index)  # `factory gather` was interrupted after it copied the file
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     changed = {index: words for index, words in difference.changed.items() if recorded[index].gateway is None}
     _settle(archive, engine, terms, now, unsure, verdicts, changed, result)

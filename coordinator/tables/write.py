@@ -39,7 +39,7 @@ from schemas.storage.place import Place
 
 SIDE_COLUMN = "instance_side"
 """Name of the last column of `metadata.parquet`, the side of the target: `train`, `evaluation` or `shared`; null if the
-plan does not separate the sides."""
+plan does not separate instances."""
 _TYPES = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 
 

@@ -130,7 +130,7 @@ class Pullers(Closing):
         """Serves one turn; returns the transfers that continue in a later turn."""
         try:
             return [] if self._stop.is_set() else self._advance(host, turn)
-        except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next heartbeat
+        except Exception as error:  # noqa: BLE001 - the loop of a puller: logged; the worker announces the bundle again
             if len(turn) > 1:  # with a separate turn for each bundle, only the faulty bundle fails again
                 log.debug("served_apart", host=host, bundles=len(turn), error=str(error))
                 for transfer in turn:

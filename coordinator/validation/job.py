@@ -31,7 +31,7 @@ def job_findings(meta: EpisodeMeta, job: Job) -> list[str]:
     """
     drawn = frozenset() if job.choice is None else _DRAWN
     return [
-        f"job.{name}: the bundle has {_show(getattr(meta.job, name))}, the ledger leased {_show(getattr(job, name))}"
+        f"job.{name}: the bundle has {_show(getattr(meta.job, name))}, the leased job has {_show(getattr(job, name))}"
         for name in Job.model_fields
         if name not in drawn and getattr(meta.job, name) != getattr(job, name)
     ]

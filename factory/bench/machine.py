@@ -1,6 +1,6 @@
 """Describes the machine of a benchmark, reads process memory from /proc, and records the time of stages.
 
-Runs no workload. Resets the peak memory counter only.
+Runs no workload. The only state that it changes is the peak memory counter of the process.
 """
 
 from __future__ import annotations

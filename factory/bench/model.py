@@ -28,7 +28,7 @@ class Spread(Model):
 
 
 class Machine(Model):
-    """Machine of a benchmark, without host name or location."""
+    """Description of the machine that ran a benchmark, without host name or location."""
 
     cpu: str
     cores: int
@@ -147,7 +147,7 @@ class MemoryBench(Model):
     frames: int
     """Total number of frames."""
     settled_mib: float
-    """Median memory over the second tenth of the episodes, MiB; all scenes are loaded and caches are full."""
+    """Median memory over the second tenth of the episodes, MiB; by then all scenes are loaded and caches are full."""
     last_mib: float
     """Median memory over the last tenth, MiB; the difference to `settled_mib` is the growth."""
     memory: Memory
@@ -232,7 +232,7 @@ class WireBench(Model):
     coordinator_cpu_ms: Spread
     """CPU time of the coordinator process per cycle, including the concurrent pulling, milliseconds."""
     workers_cpu_ms: Spread
-    """CPU time of the worker process per cycle, milliseconds. The worker process uses the cores of the coordinator."""
+    """CPU time of the worker process per cycle, milliseconds. The process shares the cores with the coordinator."""
     start_s: Spread
     """Time from the start of the coordinator with a filled ledger until it listens, seconds."""
     session_load: SessionLoad

@@ -10,7 +10,7 @@ from schemas.plan import Plan
 
 
 def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
-    """Returns the plan with `episodes` episodes in each of these scenes, or in all scenes if `scenes` is empty.
+    """Returns the plan with `episodes` episodes in each of these scenes, or in every scene if `scenes` is empty.
 
     Raises:
         UsageError: A scene is not in the plan, or the plan has fewer than `episodes` episodes in a scene.

@@ -62,7 +62,8 @@ class SceneSampler:
         seed: Random seed; the order depends on seed, epoch and dataset only.
         rank: Number of this process in a distributed training, from 0.
         replicas: Number of processes of a distributed training.
-        even: Whether all ranks get the same number of samples; up to `replicas - 1` samples of an epoch are omitted.
+        even: Whether all ranks get the same number of samples. If so, up to `replicas - 1` samples of an epoch are
+            omitted.
     """
 
     def __init__(

@@ -80,8 +80,8 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     """Export format. Stateless; created in every process by its name in the registry.
 
     A piece has the directory tree of OUT, e.g. `episodes/ep_000001/meta.json`; its files are synced and renamed into
-    OUT. If pieces must be joined to shards or numbered, `assembles` is true; pieces are then stored in a hidden folder,
-    and deleted after `finish`.
+    OUT. If pieces must be joined into shards or numbered, `assembles` is true; pieces are then stored in a hidden
+    folder, and deleted after `finish`.
     """
 
     name: ClassVar[str]

@@ -1,4 +1,4 @@
-"""Format `gnm`: training data of GNM, ViNT and NoMaD: numbered JPEGs, positions and headings, lists of names.
+"""Format `gnm`: training data for GNM, ViNT and NoMaD, as numbered JPEGs, positions and headings, and lists of names.
 
 Layout and keys are those of robodhruv/visualnav-transformer. Does not contain instructions, depth or ids.
 """

@@ -28,7 +28,7 @@ class Options(Model):
     """Options of a format. Each field becomes a command line option with its description as help text.
 
     Fields are `bool`, `int`, `int | None` or a `Literal` of strings, and all have defaults. Formats that share a field
-    name must define it equally.
+    name must define the field identically.
     """
 
     def check(self, meta: DatasetMeta) -> None:

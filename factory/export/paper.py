@@ -1,4 +1,4 @@
-"""Format `paper`: the directory tree of the paper (Table of episode files), one file per frame and sensor; lossless.
+"""Format `paper`: the directory tree in the paper's table of episode files, one file per frame and sensor; lossless.
 
 From a states dataset it writes the tree of the frames dataset: it renders the frames and computes their digests.
 """

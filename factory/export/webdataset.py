@@ -70,7 +70,7 @@ class Shard(NamedTuple):
 
 
 class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
-    """Exporter of format `webdataset`. A piece is a tar file without end mark; a shard consists of several pieces."""
+    """Exporter of format `webdataset`. A piece is a tar file without the end-of-archive blocks; pieces form a shard."""
 
     name = "webdataset"
     about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless"
@@ -95,7 +95,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         return WebdatasetFacts(frames=len(steps), member_bytes=size)
 
     def finish(self, export: Finish[WebdatasetOptions, WebdatasetFacts]) -> None:
-        """Joins the pieces of each split to shards; writes the list of shards and the card."""
+        """Joins the pieces of each split into shards; writes the list of shards and the card."""
         listed: list[dict[str, Any]] = []
         splits = dict.fromkeys(piece.split for piece in export.pieces)
         for split in splits:
@@ -192,7 +192,7 @@ def member_bytes(size: int) -> int:
 
 
 def join_members(pieces: Iterable[Path], shard: Path) -> None:
-    """Concatenates files of members to an archive, in bounded memory."""
+    """Concatenates files of members into an archive, in bounded memory."""
     with shard.open("wb") as out:
         for piece in pieces:
             with piece.open("rb") as members:

@@ -26,7 +26,7 @@ _CHARSET = "".join(sorted(set(string.printable)))
 
 
 class InstructionText(spaces.Text):
-    """Space of texts of up to `MAX_INSTRUCTION` characters that `AsyncVectorEnv` updates at every step.
+    """Space of texts of up to `MAX_INSTRUCTION` characters, whose current text `AsyncVectorEnv` returns at every step.
 
     Gymnasium 1.4 reads the texts of a `Text` space from shared memory only once, when the environments are created.
     """

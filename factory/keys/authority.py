@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 _CLOCK_TOLERANCE = timedelta(minutes=5)
-"""A certificate is valid from this time before its creation, because the clocks of hosts differ."""
+"""The validity of a certificate starts this long before its creation, because the clocks of hosts differ."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 

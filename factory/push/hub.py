@@ -138,7 +138,7 @@ def _translated(hub: ModuleType, repository: str, endpoint: str) -> Iterator[Non
         status = error.response.status_code if error.response is not None else None
         raise WorldError(
             _describe_status(status, repository, endpoint, error)
-        ) from None  # no cause: it contains the request with the token
+        ) from None  # the cause is omitted, because it contains the request with the token
     except hub.errors.HFValidationError as error:
         raise UsageError(f"{repository!r} is not a valid repository: {error}") from None
     except (hub.errors.HTTPError, OSError, ValueError, RuntimeError) as error:

@@ -157,7 +157,7 @@ def _ask(endpoint: Endpoint, prompt: str) -> tuple[str, ...]:
     if os.environ.get(KEY_VARIABLE):
         headers["Authorization"] = f"Bearer {os.environ[KEY_VARIABLE]}"
     url = endpoint.url.rstrip("/") + "/chat/completions"
-    request = urllib.request.Request(url, json.dumps(body).encode(), headers)  # noqa: S310 - `_require_url`
+    request = urllib.request.Request(url, json.dumps(body).encode(), headers)  # noqa: S310 - see `_require_url`
     try:
         with _OPENER.open(request, timeout=endpoint.timeout_s) as reply:
             said = json.loads(_within(reply, endpoint.timeout_s))["choices"][0]["message"]["content"]

@@ -1,6 +1,7 @@
 """Report of a dataset: the figures of the paper as SVG and PNG, and a self-contained HTML page.
 
-Importing this package needs matplotlib (`minivla-factory[report]`); only `factory report` imports it.
+Importing this package needs matplotlib (`minivla-factory[report]`); only `factory report` and the process that
+draws the figures of the web page import it.
 """
 
 from __future__ import annotations

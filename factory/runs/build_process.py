@@ -67,7 +67,7 @@ def _serve(task: BuildTask) -> tuple[SimulationReport, bool]:
     except OSError as error:
         reason = FailReason.RELEASED if error.errno in _DISK_FULL else FailReason.CRASH
         return failure(reason, str(error), seconds=time.monotonic() - started), True
-    except Exception as error:  # noqa: BLE001 - the worker loop: reported, and the process exits
+    except Exception as error:  # noqa: BLE001 - worker loop: the error is reported and the process exits
         traceback.print_exc()
         return failure(FailReason.CRASH, repr(error), seconds=time.monotonic() - started), False
     finally:

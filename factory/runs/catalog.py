@@ -73,7 +73,7 @@ def collect_scenes(
     only: Collection[str] | None = None,
     packages: Place | None = None,
 ) -> Catalog:
-    """Returns the scenes of a plan. Checks only for layouts whether they can fulfil the plan.
+    """Returns the scenes of a plan. Checks whether its layouts can fulfil the plan; does not check other scenes.
 
     Args:
         plan: Plan with the scenes.
@@ -88,8 +88,8 @@ def collect_scenes(
     Raises:
         UsageError: `packages` lacks a scene.
         ArchiveCorrupt: A texture of a package is missing.
-        InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene, or a layout
-            cannot fulfil the plan with any of its seeds.
+        InvalidPlan: A file that the plan names for a scene is missing, and the dataset has no package of the scene; or
+            a layout cannot fulfil the plan with any of its seeds.
         KeyboardInterrupt: The builds were stopped.
     """
     held = packages_by_scene(root / SCENES if packages is None else packages)
@@ -206,7 +206,7 @@ def _find(scene: ScenePlan, cache: Path) -> Path | None:
 
 
 def _called(scene: ScenePlan) -> str | None:
-    """Returns the name of a numbered layout; `None` for a scene that is named like its family."""
+    """Returns the name of a numbered layout; `None` for a scene that has the name of its family."""
     return None if family_of(scene.name) == scene.name else scene.name
 
 

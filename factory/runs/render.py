@@ -74,9 +74,9 @@ def prepare_rendering(
     Args:
         root: location of the states dataset.
         site: location of the frames dataset.
-        renderer: renderer of this machine that is compared with the recorded frames first; `None` compares nothing.
-        rig: name or file of the rig whose measurements are stored; `None` is that of the plan.
-        appearance: name or file of the appearance of the frames, or `none`; `None` is that of the plan.
+        renderer: renderer of this machine, whose frame 0 is compared with the recorded one; `None` compares nothing.
+        rig: name or file of the rig whose measurements are stored; `None` uses that of the plan.
+        appearance: name or file of the appearance of the frames, or `none`; `None` uses that of the plan.
 
     Raises:
         UsageError: the dataset stores frames already, the location contains another run, or the rig does not exist.

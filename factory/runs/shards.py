@@ -1,7 +1,7 @@
 """Runs one shard of a run: records its state in `run_shard.json`, and decides whether its lock may be taken over.
 
-The state file is the heartbeat of a shard. Changes of the file are compared, not its times, so the clocks of the
-hosts may differ. Generates no episode.
+The state file is the heartbeat of a shard. A reader waits for a change of the file and does not use its times, so the
+clocks of the hosts may differ. Generates no episode.
 """
 
 from __future__ import annotations

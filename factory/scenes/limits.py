@@ -1,4 +1,4 @@
-"""Options of a scene import: limits, files outside of its folder, unit and up axis, and a ceiling that is added.
+"""Options of a scene import: limits, files outside the scene's folder, unit and up axis, and an added floor or ceiling.
 
 Data only; the importer enforces the limits.
 """

@@ -11,7 +11,7 @@ _MOST_CHARS = 4 << 20
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML loader that rejects duplicate keys, which a missing line between two rows causes.
+    """YAML loader that rejects duplicate keys, which result when a missing line merges two rows.
 
     It also rejects aliases, because a few lines of nested aliases expand to more values than memory can hold.
     """

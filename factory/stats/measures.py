@@ -63,7 +63,7 @@ def share_of(count: int, of: int) -> Share:
 
 
 def fit_line(group: str, x: Sequence[float], y: Sequence[float]) -> Fit:
-    """Returns Pearson's r with its Fisher z interval, and the least-squares line of y over x.
+    """Returns Pearson's r with its Fisher z interval, and the least-squares line of y on x.
 
     Args:
         group: Name of the group of episodes.

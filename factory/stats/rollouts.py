@@ -1,4 +1,4 @@
-"""Computes rollout statistics, navigation errors, and the fit of trajectory length over spawn distance, by group.
+"""Computes rollout statistics, navigation errors, and the fit of trajectory length against spawn distance, by group.
 
 Pure functions; no I/O.
 """
@@ -76,7 +76,7 @@ def navigation_errors(episodes: Episodes, scenes: Iterable[str], radius_m: float
 
 
 def correlations(episodes: Episodes, scenes: Iterable[str]) -> tuple[Fit, ...]:
-    """Returns the fit of trajectory length over spawn distance for all episodes, each scene and each tier (Fig. 11)."""
+    """Returns fits of trajectory length against spawn distance for all episodes, each scene and each tier (Fig. 11)."""
     groups = [*_groups(episodes, scenes, _family)]
     groups = [groups[-1], *groups[:-1], *list(_groups(episodes, Tier, lambda row: row.spawn_tier))[:-1]]
     return tuple(

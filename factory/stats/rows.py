@@ -154,7 +154,7 @@ def _compare_with_meta(rows: Rows, table_rows: int) -> None:
 
 
 def _compare_with_plan(rows: Rows) -> None:
-    """Adds a remark on cells above their quota, and in a complete run also on cells below it."""
+    """Adds a remark about cells above their quota and, if the run is complete, also about cells below it."""
     plan = rows.meta.plan
     found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
     wanted = {(scene.name, *cell): count for scene in plan.parts for cell, count in cells(plan, scene).items()}

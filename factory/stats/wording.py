@@ -67,7 +67,7 @@ def _grams(words: Sequence[str], order: int) -> NGrams:
 
 
 def _two_largest(sentences: Sequence[NGrams]) -> dict[tuple[str, ...], tuple[int, int]]:
-    """Returns for each n-gram the two largest of its counts in the single sentences, the largest first."""
+    """Counts each n-gram in every sentence; returns its two largest counts, the largest first."""
     found: dict[tuple[str, ...], tuple[int, int]] = {}
     for grams in sentences:
         for gram, count in grams.items():

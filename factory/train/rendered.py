@@ -22,8 +22,8 @@ def render_frames(
         size: Side of the pictures, pixels.
         hold: Steps between two selected frames.
         antialias: Samples per pixel along each axis; `None` gives the same pictures as stored frames.
-        memory_bytes: Memory for rendered pictures. The first rows, which fit into it, are rendered once; the others are
-            rendered in each epoch.
+        memory_bytes: Memory for rendered pictures. As many of the first rows as fit are rendered once and kept; the
+            others are rendered in each epoch.
         tell: Progress callback, called with labelled and total episodes; may raise to cancel.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Checks episodes in this process, or in several if their work takes longer than starting them.
+"""Checks episodes in this process, or in several processes if that saves more time than their start takes.
 
 The checks themselves are in `factory/verify/episode.py`.
 """
@@ -20,7 +20,7 @@ _BYTES_PER_S = 75e6
 _EPISODE_S = 0.01
 """Part of the CPU time of a deep check that does not depend on the size of the episode, seconds."""
 _WORTH_A_PROCESS_S = 2.0
-"""CPU time of the checks that justify one more process, seconds: twice the CPU time of its start and imports."""
+"""CPU time of checks that justifies one more process, seconds: twice the CPU time of its start and imports."""
 
 
 def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterator[EpisodeFindings]:

@@ -218,7 +218,7 @@ def _check_tables(dataset: Dataset, report: VerifyReport) -> None:
 
 
 def _batches(path: Place) -> Iterator[pa.RecordBatch]:
-    """Yields all rows of a table, so every page is read."""
+    """Yields all rows of a table, so every page of the Parquet file is read."""
     with pq.ParquetFile(table_of(path)) as file:
         yield from file.iter_batches()
 

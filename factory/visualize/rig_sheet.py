@@ -1,7 +1,4 @@
-"""Draws a contact sheet of a rig: a row for each camera, with colour over time, depth and ids, and for each lidar.
-
-Writes no files.
-"""
+"""Draws a contact sheet of a rig, with a row for each camera and each lidar. Writes no files."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def show_flow(flow: NDArray[np.float32]) -> Rgb:
 
 
 def show_scan(scan: LidarScan, lidar: Lidar2d | Lidar3d, target: int, size: int) -> Image.Image:
-    """Draws the points that a lidar measured, seen from above, x of base_link up, in the colours of their instances.
+    """Draws a top view of the points that a lidar measured, in the colours of their instances; the robot faces up.
 
     Args:
         scan: scan of the lidar.

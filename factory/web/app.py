@@ -1,4 +1,4 @@
-"""Builds the web application: routes of all pages, static files, errors, behind the access rules."""
+"""Builds the web application: routes of all pages, static files, answers to errors, and the access rules."""
 
 from __future__ import annotations
 

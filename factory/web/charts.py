@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 WIDTH, WIDE, HEIGHT = 600, 1200, 124
-"""`WIDTH` of a line chart, `WIDE` of a column chart, and `HEIGHT` of both charts; units of the view box."""
+"""Width of a line chart, width of a column chart, and height of both, in units of the view box."""
 _LEFT, _TOP, _BOTTOM = 64, 8, 20
 _MOST_POINTS = 600
 

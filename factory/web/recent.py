@@ -35,6 +35,6 @@ class Recent(Generic[T]):
             return self._found[1]
 
     def forget(self) -> None:
-        """Lets the next `get` compute the result, because a request has changed what the function reads."""
+        """Discards the result; called after a request has changed what the function reads."""
         with self._lock:
             self._found = None

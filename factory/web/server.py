@@ -39,7 +39,7 @@ class WebServer(Closing):
     Args:
         app: application to serve.
         address: address to listen on; port 0 selects a free port.
-        tls: TLS files: clients need a certificate of the same authority; `None` serves plain HTTP.
+        tls: TLS files; clients need a certificate of the same authority. `None` serves plain HTTP.
 
     Raises:
         WorldError: the address is in use.

@@ -33,7 +33,7 @@ from schemas.errors import FactoryError
 from schemas.protocol.administration import AdminReply, AdminRequest
 
 _FARM_AGE_S = 3.0
-"""Greatest age of the shown state of a run, seconds."""
+"""Maximum age of the shown state of a run, seconds."""
 _READ_AHEAD = 1000
 """Number of episodes at the beginning of the dataset that are searched for different scenes to prepare."""
 
@@ -51,7 +51,7 @@ def serve(
     *,
     renders_ahead: bool = False,
 ) -> Iterator[str]:
-    """Serves the web page of a dataset while the context is open; yields its URL, with the token if it was chosen here.
+    """Serves the web page of a dataset while the context is open; yields its URL, with the token if it was generated.
 
     Args:
         site: location of the dataset.

@@ -144,7 +144,7 @@ class Workspace:
             return self._packaged
 
     def is_written(self) -> bool:
-        """Returns whether a coordinator of this machine adds episodes to the dataset."""
+        """Returns whether a coordinator on this machine adds episodes to the dataset."""
         return bool(is_held(self.site.state_dir))
 
     def ledger_health(self) -> str:

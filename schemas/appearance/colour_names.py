@@ -27,7 +27,7 @@ _D65 = np.array([0.95047, 1.0, 1.08883])
 MIN_SHARE = 0.5
 """Smallest share of the votes with which a colour name can be dominant."""
 MAX_RIVAL = 0.36
-"""Share of the votes of the second most frequent name from which the colour is ambiguous: no name is dominant."""
+"""Share of the votes from which the second most frequent name makes the colour ambiguous, so no name is dominant."""
 _NEUTRALS = [_BLACK, _GRAY, _WHITE]
 _NEUTRAL_VOTE = 0.5
 """Votes of a black, gray or white sample; any other sample has one vote. So a blue chair on a black base is called
@@ -62,9 +62,9 @@ def lab_of(srgb: ArrayLike) -> Floats:
 
 
 def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
-    """Returns the index in `COLOUR_NAMES` of each sRGB value (..., 3): sectors of lightness, chroma and hue.
+    """Returns the indices (...) in `COLOUR_NAMES` of the names of sRGB values (..., 3), 0..1.
 
-    Ambiguous colours have the index after the last name.
+    A name applies to sectors of lightness, chroma and hue. Ambiguous colours have the index after the last name.
     """
     lab = lab_of(srgb)
     lightness, chroma = lab[..., 0], np.hypot(lab[..., 1], lab[..., 2])
@@ -91,7 +91,7 @@ def _is_pink(lightness: Floats, hue: Floats) -> NDArray[np.bool_]:
 
 def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
     """Returns whether colours are brown: dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
-    is_vivid = (lightness >= 50) & (chroma >= 58)  # for example shadows on orange cloth, which are not brown
+    is_vivid = (lightness >= 50) & (chroma >= 58)  # not brown; for example the shadows on orange cloth
     orange = (hue >= 48) & (hue < 72) & ~is_vivid & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
     yellow = (hue >= 72) & (hue < 98) & ((lightness < 58) | ((lightness < 88) & (chroma < 45)))

@@ -108,6 +108,6 @@ class DrawnAppearance(Model):
 
     @property
     def changes_scene(self) -> bool:
-        """Whether light, materials, clutter or exposure differ from the compiled scene, apart from pose and lens."""
+        """Whether light, materials, clutter or exposure vary, not only the pose and lens of the cameras."""
         exposes = self.camera is not None and self.camera.exposure_stops != 0
         return bool(self.light or self.materials or self.clutter) or exposes

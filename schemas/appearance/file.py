@@ -15,7 +15,7 @@ _FOLDER = Path(__file__).parent / "builtin"
 
 
 def find_appearance(reference: str) -> Appearance | None:
-    """Returns an appearance as `load_appearance`, or `None` for `none`."""
+    """Returns the result of `load_appearance`, or `None` for the name `none`."""
     return None if reference == NO_APPEARANCE else load_appearance(reference)
 
 

@@ -1,6 +1,6 @@
 """Light groups of a compiled scene: the share of each lamp group in the baked light. Model and codec; bakes nothing.
 
-They are stored in a file beside the package, so packages and their digests do not depend on them.
+The groups are stored in a file beside the package, so packages and their digests do not depend on them.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class LightRanges(Model):
 
 
 class MaterialRanges(Model):
-    """Sets of the colours and textures of surfaces."""
+    """Sets from which the colours and textures of surfaces are drawn."""
 
     walls: Annotated[tuple[WallSet, ...], Field(max_length=MAX_SETS)] = (
         "paint",
@@ -138,7 +138,7 @@ class Appearance(Model):
     light: LightRanges | None = None
     """Ranges of the light."""
     materials: MaterialRanges | None = None
-    """Sets of the materials."""
+    """Sets of materials."""
     camera: CameraRanges | None = None
     """Ranges of the camera."""
     clutter: ClutterRanges | None = None

@@ -170,9 +170,9 @@ def local_header_bytes(name: str) -> int:
 
 
 def read_local_header(data: bytes, at: int = 0) -> LocalHeader | None:
-    """Returns the local header at an offset, or `None` if `ContainerWriter` does not write these bytes.
+    """Returns the local header at an offset, or `None` if it is not one that `ContainerWriter` writes.
 
-    A name that is not ASCII gives `None`, too.
+    The result is also `None` if the name is not ASCII.
     """
     if len(data) < at + _LOCAL.size:
         return None

@@ -106,8 +106,10 @@ def decode_npy(name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | N
 def _known_header(
     data: bytes, dtype: np.dtype[np.generic], shape: Sequence[int | None]
 ) -> tuple[int, tuple[int, ...]] | None:
-    """Returns the result of `_read_header` without 40 us of parsing, or `None` if the header is not that of
-    `encode_npy` for this dtype and shape, or the shape is not fully known."""
+    """Returns the result of `_read_header` without parsing, which takes 40 us.
+
+    Returns `None` if the shape is not fully known, or if `encode_npy` writes a different header for it and the dtype.
+    """
     sides = tuple(side for side in shape if side is not None)
     if len(sides) < len(shape):
         return None

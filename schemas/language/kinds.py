@@ -52,7 +52,7 @@ class RoomRule(Model):
     """Condition under which a room has a type."""
 
     has: tuple[Name, ...] = ()
-    """Kinds of which the room contains objects."""
+    """Kinds of the objects that the room must contain."""
     count: int = 1
     """Smallest number of these objects."""
     aspect: float | None = None

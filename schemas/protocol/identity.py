@@ -39,7 +39,7 @@ class TlsFiles(NamedTuple):
     name: Path
     """File with one line, the common name in the certificate."""
     admitted: Path
-    """List of admitted hosts, of a coordinator or gateway only."""
+    """List of admitted hosts; only coordinators and gateways have one."""
 
 
 def tls_files(folder: Path) -> TlsFiles:

@@ -102,7 +102,7 @@ def _image_spec(camera: Camera, output: CameraOutput) -> ArraySpec:
 
 
 def _most_depth_m(camera: Camera) -> float | None:
-    """Returns the largest depth of a camera, metres; `None` for a camera with noise of depth, which has no limit."""
+    """Returns the largest depth of a camera, metres; `None` for a camera with noisy depth, which has no limit."""
     if camera.noise is not None and camera.noise.depth is not None:
         return None
     return camera.far_m * (1.0 if camera.depth is DepthKind.AXIAL else _MOST_RADIAL) + 1e-3

@@ -206,7 +206,7 @@ class FisheyeCamera(_CentredCamera):
         fold = first_fold(self.half_fov_rad, self.distortion)
         if fold is not None:
             raise ValueError(
-                f"distortion {list(self.distortion)} folds over {math.degrees(fold):.1f} degrees from the optical "
+                f"distortion {list(self.distortion)} folds over at {math.degrees(fold):.1f} degrees from the optical "
                 f"axis, within the image circle: reduce the coefficients, or fov_deg below {2 * math.degrees(fold):.0f}"
             )
         if self.fy_px is not None and self.fx_px is None:

@@ -1,4 +1,4 @@
-"""Command line and environment of the product's child processes, so they import no file of the working directory.
+"""Command line and environment with which the product's child processes import no file of the working directory.
 
 `python -m` puts the working directory first on the import path, and a dataset or a user's folder may contain a module
 with the name of a module of the product. This module starts no process.

@@ -28,8 +28,8 @@ _TAIL_BYTES = 2000
 _MAX_LINE_BYTES = 16 << 20
 
 ENDED_FROM_OUTSIDE = frozenset({-signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP, -signal.SIGUSR1})
-"""Exit statuses of a process that a batch system, a service manager or a user ended. The work of a process does not
-cause them."""
+"""Exit statuses of a process that a batch system, a service manager or a user ended; they do not indicate a fault
+of the process."""
 
 
 def describe_exit(status: int) -> str:

@@ -118,7 +118,7 @@ def _compare_meta(one: Path, other: Path, free: frozenset[str]) -> Iterator[Diff
 
 
 def _compare_episodes(one: Path, other: Path, same_recording: bool) -> Iterator[Difference]:
-    """Yields a difference for each episode whose actions, poses or metadata differ; with one recording, also frames."""
+    """Yields a difference for each episode whose actions, poses, metadata or, with one recording, frames differ."""
     for first, second in zip(Dataset(one), Dataset(other), strict=True):
         with first, second:
             values: list[tuple[str, Any, Any]] = [("states", first.states_digest, second.states_digest)]

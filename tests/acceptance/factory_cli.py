@@ -132,7 +132,7 @@ class FactoryCli:
         assert done.returncode == 0, f"factory {words}: exit {done.returncode}\n{done.stderr}"
 
     def run(self, *words: object) -> subprocess.CompletedProcess[str]:
-        """Runs a command in a forked process, whatever its exit status."""
+        """Runs a command in a forked process; accepts any exit status."""
         with tempfile.TemporaryDirectory() as folder:
             started = self._fork(Path(folder), words)
             try:

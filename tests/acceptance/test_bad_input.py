@@ -1,4 +1,4 @@
-"""User errors: each has a message that says what to do and the right exit code, and changes no data."""
+"""User errors: each has the right exit code and a message that says what to do, and changes no data."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_directory_within_a_dataset_is_refused(factory, plan, reference):
     assert not (reference / "episodes" / "x").exists()
 
 
-def test_an_unknown_part_of_a_dataset_is_refused_before_a_dataset_is_written(factory, tmp_path):
+def test_files_that_do_not_belong_to_a_dataset_are_reported_before_a_dataset_is_written(factory, tmp_path):
     plan, out = tmp_path / "impossible.toml", tmp_path / "x"
     plan.write_text('[[scenes]]\nname = "hospital"\nepisodes = 1\nseen = ["sofa"]\n')
     out.mkdir()
@@ -89,7 +89,7 @@ def test_a_worker_without_a_coordinator_prints_the_start_command(factory):
     assert "factory coordinator start" in err
 
 
-def test_listening_beyond_loopback_is_refused(factory, plan, tmp_path):
+def test_listening_on_all_addresses_without_certificates_is_refused(factory, plan, tmp_path):
     words = ("coordinator", "start", plan, "--out", tmp_path / "x", "--listen", "tcp/0.0.0.0:7447")
     assert "factory keys" in factory(*words, expect=2).stderr
 
@@ -159,7 +159,7 @@ def test_an_unknown_expert_is_refused_with_the_known_experts(factory, tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-def test_a_required_renderer_without_its_driver_is_refused_once_before_the_run(
+def test_a_missing_driver_of_the_required_renderer_is_reported_once_before_the_run(
     server: ForkServer, cache: Path, tmp_path: Path
 ) -> None:
     without_egl = FactoryCli(server, tmp_path / "home", cache, {"__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"})

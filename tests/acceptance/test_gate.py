@@ -55,7 +55,7 @@ def test_an_enforced_gate_blocks_a_plan_with_a_low_success_rate(factory, tmp_pat
     assert not (root / "ledger.db").exists()
 
 
-def test_a_reported_gate_is_recorded_and_not_repeated(factory, tmp_path):
+def test_a_gate_in_report_mode_is_recorded_and_not_repeated(factory, tmp_path):
     plan, root = tmp_path / "hasty.toml", tmp_path / "dataset"
     plan.write_text(SHORT_EPISODES)
     factory("run", plan, "--out", root, "--workers", 2, "--gate", "report", expect=1)

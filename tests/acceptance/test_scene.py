@@ -64,7 +64,7 @@ def test_an_imported_scene_is_found_by_name(factory, tmp_path):
     assert f"cellar was imported 2 times; the last import is used: {last}" in again.stderr
 
 
-def test_a_ceiling_of_the_import_is_part_of_its_plan(factory, tmp_path):
+def test_a_ceiling_added_at_import_is_part_of_the_printed_plan(factory, tmp_path):
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
     made = factory("scene", "import", stage, "--name", "loft", "--ceiling", "2.8")
     plan = tmp_path / "loft.toml"
@@ -157,7 +157,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_an_unusable_stage_is_refused_with_its_prim_and_leaves_nothing(factory, tmp_path, what):
+def test_an_unusable_stage_is_refused_with_the_reason_and_leaves_no_files(factory, tmp_path, what):
     body, unit, words = BAD[what]
     stage = TEXT.write(tmp_path / "bad.usda", body, units=f"metersPerUnit = {unit}")
     error = factory("scene", "import", stage, "--cache", tmp_path / "cache", expect=1).stderr

@@ -8,7 +8,9 @@ from pathlib import Path
 from tests.acceptance.factory_cli import kill_group, wait_for
 
 
-def test_shards_with_a_kill_give_the_digest_of_the_run_without_shards(factory, plan, reference, tmp_path):
+def test_shards_of_which_one_is_killed_and_resumed_give_the_digest_of_the_run_without_shards(
+    factory, plan, reference, tmp_path
+):
     shards, scenes = tmp_path / "shards", reference / "scenes"
     command = ("run", plan, "--scenes", scenes, "--workers", 1)
     killed = factory.start(*command, "--shard", "1/2", "--out", shards / "a")

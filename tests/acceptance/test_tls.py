@@ -6,7 +6,7 @@ from tests.acceptance.factory_cli import FactoryCli, wait_for
 from tests.builders.ports import free_endpoint
 
 
-def test_only_admitted_workers_can_finish_a_run_behind_tls(factory: FactoryCli, plan, tmp_path):
+def test_only_admitted_workers_can_finish_a_run_with_tls(factory: FactoryCli, plan, tmp_path):
     pki, out = tmp_path / "pki", tmp_path / "out"
     factory("keys", "ca", pki)
     factory("keys", "host", pki, "hub", "--role", "coordinator", "--address", "127.0.0.1")

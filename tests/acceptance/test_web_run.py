@@ -1,4 +1,4 @@
-"""The web page of `factory run --http`: a browser watches a run until it ends; a benchmark measures its cost."""
+"""The web page of `factory run --http`: a browser watches a run; a benchmark measures the cost of visitors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def printed_url(run: Started) -> str:
     return found[0]
 
 
-def test_the_benchmark_of_visitors_reports_the_cost_of_each_kind(factory: FactoryCli, plan: Path):
+def test_the_benchmark_reports_the_cost_of_each_kind_of_visitor(factory: FactoryCli, plan: Path):
     words = (plan, "--workers", 1, "--seconds", 2, "--rounds", 1, "--viewers", 2, "--requests", 100)
     costs = factory.json("bench", "visited", *words)["costs"]
     assert list(costs) == ["none", "viewers", "attackers"]
@@ -54,7 +54,7 @@ def test_a_terminated_benchmark_ends_its_run(factory: FactoryCli):
     wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in runs))
 
 
-def test_a_run_is_watched_until_its_server_closes_and_names_the_command_for_the_dataset(factory: FactoryCli, tmp_path):
+def test_the_page_of_a_run_updates_itself_and_names_factory_serve_at_the_end(factory: FactoryCli, tmp_path):
     words = ("demo", "--scene", "office", "--episodes", 2, "--workers", 1, "--record", "states", "--gate", "skip")
     with chromium() as browser:
         page: Any = browser.new_page()

@@ -1,7 +1,8 @@
 """Measures CPU time and memory of a simulation that switches between layouts. Arguments: `PACKAGE...`.
 
-Loads all packages twice in turn, each with the steps of an attempt: reading, collider, grid, upload to the renderer,
-physics and the first frame. Packages are files of a scene cache, next to their textures. Builds no layout.
+Loads all packages one after the other, two times. Each load has the steps of an attempt: reading, collider, grid,
+upload to the renderer, physics and the first frame. Packages are files of a scene cache, next to their textures.
+Builds no layout.
 """
 
 from __future__ import annotations

@@ -72,11 +72,11 @@ class ArchivedRun:
         return self._parts(index).write()
 
     def repair_input(self, scenes: Sequence[str] = ()) -> RepairInput:
-        """Returns the input of a repair of this directory; the packages of `scenes` in it are unusable."""
+        """Returns the input of a repair of this directory, in which the packages of `scenes` are marked as damaged."""
         return RepairInput(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
 
     def pack(self, size: int, *, is_over: bool = True) -> int:
-        """Packs the ranges of `size` episodes that are settled, writes the tables, and returns the number of packed
+        """Packs the settled ranges, each of `size` episodes, writes the tables, and returns the number of packed
         episodes."""
         with open_archive(self.root) as archive:
             with self.timed_ledger.engine.connect() as connection:

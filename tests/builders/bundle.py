@@ -185,7 +185,7 @@ def _drive(steps: int, job: Job) -> EpisodeArrays:
 
 @functools.lru_cache(maxsize=24)
 def _frame(x_m: float, step: int) -> Frame:
-    """A wall 3 m ahead above a floor, with the target in front of it; the distance decreases as the robot drives.
+    """Returns a frame of wall, floor and target; the depth decreases from 3 m as the robot drives.
 
     The images are read-only, because episodes share them.
     """

@@ -64,7 +64,7 @@ def room_job(index: int, **changes: object) -> Job:
 
 
 def archive_drives(root: Path, episodes: int = 3) -> Path:
-    """Simulates and archives episodes 1 to `episodes`, each with its first success, and returns the dataset."""
+    """Simulates episodes 1 to `episodes`, archives the first success of each, and returns the dataset."""
     plan = Plan(
         name="test",
         scenes=(ScenePlan(name="office", episodes=episodes, seen=("crate",), held_out=("barrel",)),),

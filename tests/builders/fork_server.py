@@ -99,7 +99,7 @@ class ForkServer(Closing):
     def start(
         self, module: str, words: Sequence[str], environment: Mapping[str, str], out: Path, err: Path | None = None
     ) -> Child:
-        """Starts `module` in the present working directory.
+        """Starts `module` in the current working directory.
 
         Args:
             module: module to run, as `python -m` does.

@@ -155,7 +155,7 @@ class _Grid:
         return cls((float(low[0]), float(low[1])), occupancy, _largest_open_area(occupancy))
 
     def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Returns for each of (N, 2) points whether it is on reachable floor."""
+        """Returns whether each of the (N, 2) points is on reachable floor."""
         column, row = np.floor((points - self.origin) / _CELL_M).astype(int).T
         rows, columns = self.reachable.shape
         known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
@@ -204,7 +204,7 @@ def _target(index: int, box: Box, grid: _Grid, spawns: NDArray[np.float32]) -> t
 
 
 def _are_straight_free(grid: _Grid, spawns: NDArray[np.float32], centre: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Returns for each of (N, 2) starts whether the straight path to the success radius of a target is reachable."""
+    """Returns whether the straight path from each (N, 2) start to the success radius of a target is reachable."""
     gaps = centre - spawns
     distances = np.linalg.norm(gaps, axis=1)[:, None]
     steps = np.arange(0.0, distances.max(initial=0.0), _CELL_M)

@@ -51,7 +51,7 @@ def bundle_for(job: Job) -> bytes:
 
 
 def until(condition: Callable[[], bool], within_s: float = 120.0) -> None:
-    """Waits until a condition that another thread changes is true; the time limit only guards against a hang."""
+    """Waits until another thread has made a condition true; the time limit only guards against a hang."""
     end = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < end, "timed out waiting"

@@ -143,7 +143,7 @@ class ChaosCluster(Closing):
         commands: commands that start the processes.
         workers: number of hosts.
         disk: disk of the coordinator; `None` for an ordinary folder.
-        damage: share of its attempts that an additional faulty host damages; 0 for no faulty host.
+        damage: share of the attempts of an additional faulty host that it damages; 0 for no faulty host.
     """
 
     def __init__(

@@ -100,7 +100,7 @@ def run_accidents(
 
 
 def _wait(cluster: ChaosCluster, archived: int, stop: threading.Event) -> None:
-    """Waits until `archived` episodes are archived."""
+    """Waits until at least `archived` episodes are archived; a timeout is a violation."""
     deadline = time.monotonic() + cluster.commands.longest_s
     while len(cluster.archived()) < archived:
         if time.monotonic() > deadline:

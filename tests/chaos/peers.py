@@ -52,7 +52,7 @@ def preload_strikes(cluster: ChaosCluster, rng: random.Random) -> bool:
 
 
 def effects_of_peers(cluster: ChaosCluster) -> list[tuple[str, FaultSpan]]:
-    """Returns failed attempts of the faulty host, and barred hosts, from the ledger of an ended run."""
+    """Returns an effect for each failed attempt of the faulty host and for each barred host; reads an ended run."""
     failed = cluster.query(f"select outcome, count(*) from attempts where sid like '{FAULTY_HOST}.%' group by outcome")
     seen = [
         (_OUTCOMES[outcome], FaultSpan(1)) for outcome, count in failed if outcome in _OUTCOMES for _ in range(count)

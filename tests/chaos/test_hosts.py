@@ -1,4 +1,4 @@
-"""Runs on hosts in separate network namespaces: a host is disconnected and reconnected, or has a slow, lossy link."""
+"""Tests runs on hosts in separate network namespaces: a host is disconnected for a time, or has a slow, lossy link."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_a_host_behind_a_slow_lossy_link_delivers_its_episodes(tmp_path):
         assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
 
 
-def test_workers_leave_a_disconnected_gateway_which_returns_with_its_episodes(tmp_path):
+def test_workers_leave_a_disconnected_gateway_and_its_episodes_are_kept(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(4))
         site = Site(tmp_path, hosts, stack, gateways=2)

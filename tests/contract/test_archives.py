@@ -78,7 +78,7 @@ def parts_of(kind: Kind) -> list[Path]:
     return list((kind.home / ".staging").iterdir())
 
 
-def test_published_episode_has_its_bytes_and_its_name(kind: Kind) -> None:
+def test_published_episode_has_the_written_bytes_and_its_file_name(kind: Kind) -> None:
     with kind.open() as archive:
         place = publish(archive, 123, b"bundle")
         assert str(place) == f"{kind.root}/episodes/ep_000123.zip"
@@ -88,7 +88,7 @@ def test_published_episode_has_its_bytes_and_its_name(kind: Kind) -> None:
         assert parts_of(kind) == []
 
 
-def test_a_file_on_the_same_disk_is_linked_and_left_to_its_owner(kind: Kind) -> None:
+def test_a_file_on_the_same_disk_is_linked_and_stays_unchanged(kind: Kind) -> None:
     with kind.open() as archive:
         source = kind.home / "elsewhere.zip"
         source.write_bytes(b"bundle")
@@ -151,7 +151,7 @@ def test_several_episodes_are_published_together_and_one_that_is_stored_already_
         assert parts_of(kind) == []
 
 
-def test_unpublishing_deletes_and_may_be_repeated(kind: Kind) -> None:
+def test_unpublishing_deletes_an_episode_and_may_be_repeated(kind: Kind) -> None:
     with kind.open() as archive:
         place = publish(archive, 1, b"late")
         archive.unpublish(1)
@@ -224,7 +224,7 @@ def test_scenes_share_their_textures_which_are_stored_once(kind: Kind, tmp_path:
 
 
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"x")], ids=["missing", "damaged"])
-def test_scene_without_a_whole_texture_is_not_stored(
+def test_scene_with_a_missing_or_damaged_texture_is_not_stored(
     kind: Kind, tmp_path: Path, damage: Callable[[Path], object]
 ) -> None:
     layout = make_layout("home_00001")
@@ -237,7 +237,7 @@ def test_scene_without_a_whole_texture_is_not_stored(
         assert parts_of(kind) == []
 
 
-def test_textures_that_no_scene_needs_are_swept(kind: Kind, tmp_path: Path) -> None:
+def test_textures_that_no_scene_needs_are_deleted(kind: Kind, tmp_path: Path) -> None:
     layout = make_layout("home_00001")
     source = layout.write(tmp_path / "home.scene.zip")
     needed, surplus = layout.textures
@@ -304,7 +304,7 @@ def test_free_space_is_that_of_the_disk_to_which_part_files_are_written(kind: Ki
         assert 0 < archive.free_bytes() <= status.f_blocks * status.f_frsize
 
 
-def test_file_in_place_of_the_directory_is_named_with_the_remedy(kind: Kind) -> None:
+def test_file_in_place_of_the_directory_is_refused_with_the_reason(kind: Kind) -> None:
     kind.home.write_text("a file")
     with pytest.raises(WorldError, match=r"cannot open .*; the path is a file, not a directory"):
         kind.open()

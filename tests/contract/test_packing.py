@@ -59,7 +59,7 @@ def shard_of(kind: Kind) -> Place:
     return place
 
 
-def test_packed_episodes_have_their_bytes_and_no_files(kind: Kind) -> None:
+def test_packed_episodes_keep_their_bytes_and_have_no_files(kind: Kind) -> None:
     with kind.open() as archive:
         fill(archive)
         assert pack(archive) == len(EPISODES)
@@ -79,7 +79,7 @@ def test_packed_episodes_have_their_bytes_and_no_files(kind: Kind) -> None:
         assert contents(archive) == EPISODES
 
 
-def test_equal_episodes_give_an_equal_shard(kind: Kind, tmp_path: Path) -> None:
+def test_equal_episodes_give_equal_shards(kind: Kind, tmp_path: Path) -> None:
     with kind.open() as archive, Kind(tmp_path / "other", None).open() as other:
         fill(archive)
         fill(other, reversed(list(EPISODES)))
@@ -97,7 +97,7 @@ def test_episodes_that_differ_from_the_ledger_remain_files(kind: Kind) -> None:
         assert contents(archive) == EPISODES
 
 
-def test_nothing_to_pack_writes_no_shard(kind: Kind) -> None:
+def test_packing_without_unpacked_episodes_writes_no_shard(kind: Kind) -> None:
     with kind.open() as archive:
         assert pack(archive) == 0
         assert archive.shards() == ()
@@ -236,7 +236,7 @@ def test_the_intact_episodes_of_a_truncated_shard_are_kept(kind: Kind, part: flo
     require_sound(kind, intact)
 
 
-def test_a_shard_whose_directory_is_damaged_is_written_again(kind: Kind) -> None:
+def test_a_shard_whose_zip_directory_is_damaged_is_rewritten(kind: Kind) -> None:
     with kind.open() as archive:
         fill(archive)
         pack(archive)

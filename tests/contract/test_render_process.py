@@ -110,7 +110,7 @@ def test_close_ends_the_process_and_later_requests_are_refused() -> None:
             renderer.render(POSES[0])
 
 
-def test_an_unclosed_renderer_ends_with_its_last_reference() -> None:
+def test_the_process_of_an_unclosed_renderer_ends_when_its_last_reference_is_deleted() -> None:
     before = children_of(os.getpid())
     renderer = open_renderer("tiny", apart=True)
     (pid,) = children_of(os.getpid()) - before
@@ -119,7 +119,7 @@ def test_an_unclosed_renderer_ends_with_its_last_reference() -> None:
 
 
 @pytest.mark.parametrize("forks", [False, True])
-def test_the_process_ends_with_its_killed_caller_while_a_fork_survives(forks: bool) -> None:
+def test_the_process_ends_when_its_caller_is_killed_even_if_a_fork_survives(forks: bool) -> None:
     program = f"""
 import os, time
 from workers.render.choose import open_renderer
@@ -228,5 +228,5 @@ def render_here_and_in_forks() -> None:
 
 
 @pytest.mark.gl
-def test_after_rendering_in_the_parent_only_a_render_process_works_in_a_fork() -> None:
+def test_a_fork_of_a_process_that_has_rendered_can_render_only_in_a_separate_process() -> None:
     in_fresh_process(render_here_and_in_forks)

@@ -68,7 +68,7 @@ def test_a_wall_has_its_known_depth_everywhere(renderer: Renderer) -> None:
     assert (frame.rgb == RED).all()
 
 
-def test_boxes_at_the_upper_left_and_lower_right_appear_at_the_upper_left_and_lower_right(renderer: Renderer) -> None:
+def test_the_image_is_neither_mirrored_nor_upside_down(renderer: Renderer) -> None:
     frame = look(renderer, Box((3, 0.5, 1.0), (4, 1.5, 2.0), RED), Box((3, -1.5, -1.0), (4, -0.5, -0.2), BLUE))
     rows, columns = np.nonzero(frame.ids == 1)
     assert (rows.max() < 320, columns.max() < 320) == (True, True)
@@ -193,7 +193,7 @@ def test_far_depth_has_float_resolution() -> None:
     assert depth[:, :310] == pytest.approx(29.0001, abs=1e-5)
 
 
-def test_a_surface_through_the_camera_plane_is_cut_cleanly(renderer: Renderer) -> None:
+def test_a_surface_through_the_camera_plane_has_the_correct_depth_in_front_of_the_camera(renderer: Renderer) -> None:
     frame = look(renderer, Box((-9, -9, -0.1), (9, 9, 0.0)))
     rows = np.arange(360, 640)
     expected = CAMERA.z_m * 320 / (rows + 0.5 - 320)
@@ -400,7 +400,7 @@ def test_an_instance_rendered_alone_has_the_pixels_of_the_frame() -> None:
 
 
 @pytest.mark.gl
-def test_near_pixels_are_counted_as_in_the_frame() -> None:
+def test_the_count_of_near_pixels_equals_that_of_the_frame() -> None:
     rng = np.random.default_rng(4)
     windows = (Window(352, 160, 608, 480), Window(0, 0, 640, 640), Window(300, 600, 340, 640))
     counts = []

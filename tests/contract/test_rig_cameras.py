@@ -108,7 +108,7 @@ def test_a_small_object_is_where_the_camera_model_projects_it(renderer: Renderer
     assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx(expected, abs=1.0)
 
 
-def test_the_rig_paper_gives_the_frames_of_the_robots_camera(renderer: Renderer):
+def test_the_rig_named_paper_gives_the_frames_of_the_robots_camera(renderer: Renderer):
     room = build_scene(room_walls((-4.0, -3.0), (4.0, 3.0)))
     renderer.load(replace(room, info=room.info.model_copy(update={"sky": Sky()})), CameraConfig())
     frame = renderer.render(POSE, 640)
@@ -219,7 +219,7 @@ def test_opencv_measures_the_depth_of_a_stereo_pair(gl: Renderer):
 
 
 @pytest.mark.parametrize("camera", [pytest.param(each, id=each.name) for each in CAMERAS if each.name != "wide"])
-def test_faces_have_no_coarser_pixels_than_the_image(camera: Camera):
+def test_no_face_has_coarser_pixels_than_the_image(camera: Camera):
     plan = plan_faces(camera)
     rays = unproject(camera, pixel_centres(camera))
     middle = camera.height // 2, camera.width // 2

@@ -62,7 +62,7 @@ def scene(package: Path) -> CompiledScene:
     return read_scene(package)
 
 
-def test_the_package_is_at_its_expected_path_and_small(package: Path, scene: CompiledScene) -> None:
+def test_the_package_is_small_and_at_its_expected_path(package: Path, scene: CompiledScene) -> None:
     name, seed = scene.info.name, int(scene.info.source.rpartition(" ")[2])
     assert package == package_path(family_of(name), seed, package.parent, called=called(name))
     assert package.stat().st_size < 40e6
@@ -86,7 +86,7 @@ def test_every_category_has_a_path_from_near_mid_and_far(scene: CompiledScene) -
     assert ways >= {(category, tier) for category in categories for tier in tiers}
 
 
-def test_straight_tiers_are_connected_too(scene: CompiledScene) -> None:
+def test_every_straight_tier_is_also_a_connected_tier(scene: CompiledScene) -> None:
     for target in scene.info.targets:
         assert set(target.straight_tiers) <= set(target.connected_tiers)
         assert set(target.surface_straight_tiers) <= set(target.surface_connected_tiers)
@@ -121,7 +121,7 @@ def test_the_reachable_floor_is_free_and_connected(scene: CompiledScene) -> None
     assert (grid.clearance[scene.reachable > 0] >= CONNECT_CLEARANCE_M).all()
 
 
-def test_visible_targets_of_a_spawn_can_be_reached_straight(scene: CompiledScene) -> None:
+def test_targets_seen_from_spawns_are_in_range_and_determine_the_straight_far_tier(scene: CompiledScene) -> None:
     distance = np.linalg.norm(
         scene.spawns[:, None] - np.array([target.centroid_m[:2] for target in scene.info.targets])[None], axis=-1
     )

@@ -64,7 +64,7 @@ def test_seven_shards_of_which_three_are_killed_and_resumed_give_the_digest_of_o
     assert archived(joined) == EPISODES
 
 
-def test_shards_on_slurm_with_every_event_give_the_digest_of_one_run(
+def test_shards_on_slurm_that_are_stopped_in_every_way_give_the_digest_of_one_run(
     slurm: SlurmCluster, digest: str, tmp_path: Path
 ) -> None:
     with slurm.without("n2", "n3"):  # runs two shards at a time, so some remain after half a minute
@@ -84,7 +84,7 @@ def test_shards_on_slurm_with_every_event_give_the_digest_of_one_run(
     require_no_false_failure(*run.ledgers())
 
 
-def test_workers_on_slurm_with_every_event_give_the_digest_of_one_run(
+def test_workers_on_slurm_that_are_stopped_in_every_way_give_the_digest_of_one_run(
     slurm: SlurmCluster, digest: str, tmp_path: Path
 ) -> None:
     with slurm.without("n2", "n3"):  # one worker only: jobs remain after half a minute

@@ -1,6 +1,7 @@
-"""Fuzzes one target in a separate process: TARGET SEED SECONDS COUNT FOLDER. Writes each input before parsing it.
+"""Fuzzes one target in a separate process. Arguments: `TARGET SEED SECONDS COUNT FOLDER`.
 
-Exits with 0 without findings, 1 with a finding; a crash of the interpreter leaves the input on disk.
+Writes each input to the disk before parsing it, so a crash of the interpreter leaves the input on disk. Exits with 0
+without findings and with 1 after a finding.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class _Hang(BaseException):
 
 
 def main() -> int:
-    """Runs until the time limit or the number of inputs."""
+    """Runs until the time limit or the maximum number of inputs is reached."""
     name, seed, seconds, count, where = sys.argv[1:]
     faulthandler.enable()
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))

@@ -68,7 +68,7 @@ with_base_of_311 = pytest.mark.xdist_group("3.11")
 
 
 @every_version
-def test_base_install_reads_exports_and_displays_a_dataset(
+def test_the_base_install_can_read_export_and_display_a_dataset(
     base: Callable[[str], Installed], folder: Path, version: str
 ) -> None:
     environment = base(version)
@@ -148,7 +148,7 @@ def test_the_sim_extra_suffices_to_generate_data(wheel: Path, tmp_path: Path) ->
     assert ": valid (all bytes checked)" in environment.run("factory", "verify", "made", "--deep", cwd=tmp_path).stdout
 
 
-def test_sim_without_a_pybullet_wheel_names_the_supported_python(wheel: Path, tmp_path: Path) -> None:
+def test_without_a_pybullet_wheel_the_error_names_the_supported_python(wheel: Path, tmp_path: Path) -> None:
     python = find_python("3.13")
     if python is None:
         pytest.skip("Python 3.13 is not installed")

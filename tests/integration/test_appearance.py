@@ -130,7 +130,7 @@ def test_another_appearance_of_stored_frames_is_refused(recordings: Recordings) 
         Dataset(recordings[Recording.FRAMES], appearance="varied")
 
 
-def test_a_plan_names_an_appearance_or_has_its_ranges(tmp_path: Path) -> None:
+def test_a_plan_names_an_appearance_or_contains_its_ranges(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     head = '[[scenes]]\nname = "office"\nepisodes = 10\n'
     path.write_text(head)
@@ -167,7 +167,7 @@ def test_an_environment_shows_the_appearance_and_refuses_clutter(recordings: Rec
         MiniVLANavEnv(data=states, appearance="full")
 
 
-def test_a_scene_without_baked_light_gets_exposure_and_the_light_of_the_sky() -> None:
+def test_a_scene_without_baked_light_gets_a_light_map_of_one_texel_for_the_exposure() -> None:
     room = replace(lit_room(), light_map=np.zeros((0, 0, 3), np.uint8), light_uvs=np.zeros((0, 2), np.float32))
     ranges = Appearance.model_validate({"camera": {"exposure_stops": [-1.0, -1.0]}})
     drawn = draw_appearance(ranges, 1, 1, AppearanceScene(room), room.info.targets[0], np.zeros((1, 7)))

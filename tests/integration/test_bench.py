@@ -66,7 +66,7 @@ def job_in(room: Path, **changes: object) -> Job:
 
 
 @pytest.mark.gl
-def test_rollout_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
+def test_rollout_is_timed_by_stage_and_compared_with_the_plain_pipeline(room: Path) -> None:
     watch, told = StageRecorder(), []
     with SceneRenderer("gl", watch) as stage:
         found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))

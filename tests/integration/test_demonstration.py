@@ -53,7 +53,7 @@ def attempted(scene: CompiledScene, job: Job, folder: Path) -> tuple[Outcome, io
 
 
 @pytest.mark.parametrize("attempt", [1, 2])
-def test_a_demonstration_to_a_rack_stops_before_it_with_the_rack_in_view(tmp_path: Path, attempt: int) -> None:
+def test_a_demonstration_stops_in_front_of_a_rack_with_the_rack_in_view(tmp_path: Path, attempt: int) -> None:
     scene = build_scene((*ROOM, RACK))
     job = planner_job(scene, attempt=attempt)
     outcome, out = attempted(scene, job, tmp_path)

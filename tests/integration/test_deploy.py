@@ -166,7 +166,7 @@ def test_components_add_an_external_address_and_a_queue(tmp_path):
         require_valid(document)
 
 
-def test_batch_systems_count_all_shards_of_a_run():
+def test_batch_systems_start_every_shard_of_a_run():
     (job,) = documents(DEPLOY / "kubernetes" / "shards" / "job.yaml")
     (container,) = job["spec"]["template"]["spec"]["containers"]
     assert f'/{job["spec"]["completions"]}"' in container["args"][0]
@@ -256,7 +256,7 @@ def test_the_ledger_of_a_dataset_in_object_storage_is_on_a_persistent_volume():
         assert re.search(r"^Environment=.*\bMINIVLA_STATE=/var/lib/minivla/", text, re.MULTILINE)
 
 
-def test_every_watched_metric_is_served(tmp_path):
+def test_every_metric_in_dashboards_and_alerts_is_served(tmp_path):
     settings = CoordinatorSettings(reserve_bytes=0)
     endpoint = ("tcp/127.0.0.1:0",)
     with (
@@ -353,7 +353,9 @@ def test_the_shipped_slurm_script_has_the_shell_functions_of_factory_submit() ->
 
 
 @pytest.mark.parametrize(("number", "told"), [(signal.SIGUSR1, "requeue 15_2\n"), (signal.SIGTERM, None)])
-def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself_before_its_limit_only(tmp_path, number, told):
+def test_a_stopped_slurm_task_lets_its_worker_exit_and_requeues_itself_only_before_its_time_limit(
+    tmp_path, number, told
+):
     left = tmp_path / "left"
     body = f"trap 'sleep 0.5; touch {left}; exit 0' TERM; echo up; while :; do sleep 0.05; done"
     cluster = Cluster(tmp_path, body)
@@ -362,7 +364,7 @@ def test_a_stopped_slurm_task_lets_its_worker_finish_and_requeues_itself_before_
         assert task.stdout.readline() == "up\n"
         task.send_signal(number)
         assert task.wait(60) == 0
-    assert left.exists(), "the worker had time to exit"
+    assert left.exists(), "the task did not wait for its worker"
     assert (cluster.told.read_text() if cluster.told.exists() else None) == told
 
 

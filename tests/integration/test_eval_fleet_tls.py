@@ -82,7 +82,7 @@ def is_answered(hub: Coordinator, pki: Path) -> bool:
     return True
 
 
-def test_workers_behind_tls_run_an_evaluation_and_resume_the_collection(drives, hub, pki, tmp_path):
+def test_workers_with_tls_run_an_evaluation_and_resume_the_collection(drives, hub, pki, tmp_path):
     with working(hub.endpoints[0], pki, tmp_path):
         until(lambda: hub.progress().jobs["archived"] > 0)
         assert evaluates(drives, hub, pki, tmp_path) == [("timeout", 10)] * 2

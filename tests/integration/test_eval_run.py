@@ -137,7 +137,7 @@ def test_invalid_actions_are_described_in_the_failure(drives: Dataset, specs: Sp
     assert "found a str" in details[2]
 
 
-def test_a_policy_receives_only_camera_and_instruction_also_under_ablation(
+def test_a_policy_receives_only_camera_and_instruction_even_under_ablation(
     drives: Dataset, specs: SpecSet, tmp_path: Path
 ) -> None:
     campaign = campaign_of(drives, short(specs, 10), f"{MINE}:ChecksInput", "stop", variants=tuple(Variant))
@@ -174,7 +174,7 @@ def test_a_stopped_evaluation_resumes_and_gives_the_same_numbers(
         after = store.results("random")
     assert told[0] == len(done)
     assert told[-1] == 3
-    assert [row for row in after if row.spec_id in done] == before  # equal wall times: the same runs
+    assert [row for row in after if row.spec_id in done] == before  # equal wall times: not run again
     uninterrupted = drive(tmp_path / "uninterrupted", campaign)["random"]
     assert without_clocks(uninterrupted) == without_clocks(after)
 

@@ -96,7 +96,9 @@ def test_speeds_out_of_range_are_clipped_and_slew_limited(
         assert simulator.command.w_rps == 1.5
 
 
-def test_standing_still_ends_at_the_limit_of_steps(specs: SpecSet, stage: SceneRenderer, place: LoadedScene) -> None:
+def test_an_episode_without_motion_ends_at_the_step_limit(
+    specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+) -> None:
     settings = specs.settings.model_copy(update={"task": specs.settings.task.model_copy(update={"max_steps": 7})})
     with Simulator(stage, settings) as simulator:
         view = simulator.reset(specs.specs[0], place)

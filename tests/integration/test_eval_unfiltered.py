@@ -31,7 +31,7 @@ LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
 RIGHT = Box((1.2, -1.5, 0.0), (1.8, -0.9, 0.6), (30, 30, 200), category="crate")
 SCENE = build_scene((*room_walls((-6.0, -4.0), (4.0, 4.0)), LEFT, RIGHT))
 Unique = Literal["view", "off"]
-EPISODES = 28  # two of each template without a colour
+EPISODES = 28  # two for each template that names no colour
 
 
 def make_dataset(root: Path, unique: Unique) -> Dataset:

@@ -1,4 +1,4 @@
-"""Episodes whose target is drawn at the start: the start does not depend on the target; validation finds it again."""
+"""Episodes whose target is drawn at the start. The start does not depend on the target; validation repeats the draw."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_an_episode_with_another_target_or_with_other_candidates_is_refused(stag
             bundle.meta = wrong
             assert finding in "\n".join(validate(bundle, job, SCENE.info.targets))
         bundle.meta = meta.model_copy(update={"choices": (*AMONG[:2], 99)})
-        assert "the job permits" in "\n".join(validate(bundle, job)), "without the scene"
+        assert "the job permits" in "\n".join(validate(bundle, job)), "wrong candidates are accepted without the scene"
 
 
 def test_recorded_candidates_are_refused_if_the_plan_names_the_target(stage):

@@ -68,7 +68,7 @@ def test_a_simulation_started_in_a_foreign_directory_imports_only_product_module
 
 
 @pytest.mark.parametrize("path", ["", ":", ".:"])
-def test_a_command_in_a_foreign_directory_imports_product_modules_for_any_pythonpath(traps: Path, path: str) -> None:
+def test_a_command_in_a_foreign_directory_imports_product_modules_with_any_pythonpath(traps: Path, path: str) -> None:
     done = factory("verify", ".", PYTHONPATH=path + os.environ.get("PYTHONPATH", ""))
     assert "2 episodes" in done.stdout, done.stderr
 

@@ -69,7 +69,7 @@ def test_unparsable_yaml_is_refused(tmp_path, kind):
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "x/" * 3000, "a\0b"])
-def test_an_impossible_path_is_refused_at_the_option(name):
+def test_an_impossible_path_is_a_usage_error(name):
     with pytest.raises(UsageError, match=r"NUL|bytes"):
         place_of(name)
     with pytest.raises(UsageError, match=r"NUL|bytes"):

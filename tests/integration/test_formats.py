@@ -131,7 +131,7 @@ def test_webdataset_reads_the_shards(dataset, shards):
 
 
 @pytest.mark.parametrize(("config", "split"), [("default", "train_id"), ("train_id", "train")])
-def test_datasets_streams_the_shards_by_the_card(shards, config, split):
+def test_load_dataset_streams_the_shards_through_their_card(shards, config, split):
     found = run_reader(DATASETS_READER, shards, config, split)
     assert len(found) == 8
     assert {tuple(size) for _, size, _, _, _, _ in found} == {(640, 640)}
@@ -139,7 +139,7 @@ def test_datasets_streams_the_shards_by_the_card(shards, config, split):
     assert {rows for _, _, _, rows, _, _ in found} == {640}
 
 
-def test_datasets_loads_each_split_of_the_paper_tree(dataset, tmp_path):
+def test_load_dataset_loads_each_split_of_the_paper_tree(dataset, tmp_path):
     out = export(dataset, tmp_path / "out", "paper", split_names="published")
     code = (
         "import json, sys, datasets; loaded = datasets.load_dataset(sys.argv[1], cache_dir=sys.argv[2]); "
@@ -281,7 +281,7 @@ def test_gnm_pickles_reference_only_public_numpy_names(gnm):
     assert b"numpy._core" not in data
 
 
-def test_vlnce_files_have_habitats_schema_and_convert_back(dataset, vlnce):
+def test_vlnce_files_have_habitats_schema_and_can_be_converted_back(dataset, vlnce):
     data = Dataset(dataset)
     for split, ids in (("train_id", [1, 3]), ("test_id", [2])):
         with gzip.open(vlnce / f"{split}/{split}.json.gz", "rt") as file:

@@ -212,7 +212,7 @@ def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_
         site.open_core(SETTINGS.model_copy(update={"lease_ttl_s": 4.0}))
     site.open_gateway("gw1").close()
     worker = site.open_worker((site.endpoint,))
-    worker.is_frozen = True  # so that the coordinator, which would pull it, gets no bundle
+    worker.is_frozen = True  # otherwise the coordinator would pull the bundle
     (job,) = deliver_jobs(worker)
     (bundle,) = (data for _, data in worker.spool.values())
     if lease == "lost":

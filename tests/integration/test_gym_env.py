@@ -61,7 +61,9 @@ def test_gymnasiums_checker_reports_no_warning(drives: Dataset, specs: SpecSet, 
         opened.close()
 
 
-def test_the_checker_only_recommends_scaled_actions_for_physical_ranges(drives: Dataset, specs: SpecSet) -> None:
+def test_the_only_warning_of_the_checker_on_physical_ranges_recommends_scaled_actions(
+    drives: Dataset, specs: SpecSet
+) -> None:
     opened = make(drives, specs=specs)
     with pytest.warns(UserWarning, match="symmetric and normalized") as said:
         check_env(opened.unwrapped, skip_render_check=True)

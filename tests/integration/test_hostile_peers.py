@@ -66,7 +66,7 @@ def peer(hub: Coordinator) -> Iterator[WireWorker]:
 
 
 def with_every_number(message: dict[str, Any], number: Any) -> Iterator[dict[str, Any]]:
-    """Yields copies of a message; in each copy, another value at any depth is replaced by `number`."""
+    """Yields copies of a message, one for each value at any depth, with that value replaced by `number`."""
     for key, value in message.items():
         if isinstance(value, dict):
             yield from (message | {key: inner} for inner in with_every_number(value, number))

@@ -54,7 +54,7 @@ def loaded(tmp_path_factory: pytest.TempPathFactory) -> Loaded:
     return load(folder / "dataset", folder)
 
 
-def test_each_split_loads_as_a_separate_split(loaded: Loaded) -> None:
+def test_each_split_is_loaded_with_exactly_its_episodes(loaded: Loaded) -> None:
     assert list(loaded["default"]) == [str(split) for split in PAPER_SPLITS]
     for split, table in loaded["default"].items():
         assert {row["split"] for row in table["rows"]} == {split}

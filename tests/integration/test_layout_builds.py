@@ -169,7 +169,7 @@ def test_textures_that_the_coordinator_has_are_not_sent_again(tmp_path: Path) ->
         assert path.read_bytes() == make_layout(layout).package
         assert faulty_textures(path) == []
     assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
-    with coordinator(root) as core:  # it knows the stored textures after a restart
+    with coordinator(root) as core:  # a restart keeps layouts and textures
         assert core.progress().layouts == {"archived": 2}
         assert len(list((root / "scenes/textures").iterdir())) == 2
 

@@ -63,7 +63,7 @@ def copy_to(store: ObjectPath, folder: Path) -> None:
             store.objects.put(str(path.relative_to(folder)), path.read_bytes())
 
 
-def test_no_thread_of_arrow_holds_a_python_object_of_a_table_in_a_bucket(store: ObjectPath) -> None:
+def test_arrow_reads_a_table_in_a_bucket_without_a_python_file_object(store: ObjectPath) -> None:
     store.objects.put("table", BIG)
     with table_of(store / "table") as source:  # with a Python file object, some processes abort at their exit
         assert isinstance(source, pa.NativeFile)

@@ -60,7 +60,7 @@ def camera_of(found: object) -> CameraObservation:
 
 
 @pytest.mark.parametrize("record", list(Recording))
-def test_the_rig_paper_shows_the_frames_of_the_dataset(recordings: dict[Recording, Path], record: Recording):
+def test_the_rig_named_paper_shows_the_frames_of_the_dataset(recordings: dict[Recording, Path], record: Recording):
     episode = Dataset(recordings[record], rig="paper")[0]
     seen, frame = camera_of(episode.observe(5)["front"]), episode.frame(5)
     for name in ("rgb", "depth", "ids"):
@@ -76,7 +76,7 @@ def test_each_sensor_measures_at_its_rate(data: Dataset):
     assert set(episode.motion()) == {"imu", "wheels"}
 
 
-def test_a_camera_gives_its_outputs_only(data: Dataset):
+def test_a_camera_gives_only_its_outputs(data: Dataset):
     found = data[0].observe(0)
     assert [image is None for image in camera_of(found["eye"])] == [True, False, True, True, True]
     shapes = [image.shape for image in camera_of(found["front"]) if image is not None]
@@ -98,7 +98,7 @@ def test_the_flow_leads_to_the_same_point_in_the_next_image(data: Dataset):
 
 
 @pytest.mark.parametrize("camera", [FRONT, EYE, AROUND], ids=["pinhole", "fisheye", "panorama"])
-def test_a_depth_image_warped_by_the_flow_has_the_distances_of_the_earlier_surfaces(
+def test_a_later_depth_image_warped_by_the_flow_shows_the_surfaces_of_the_earlier_image(
     recordings: dict[Recording, Path], camera: Camera
 ):
     """Warps the later depth image by the flow with OpenCV and compares it with distances computed from the poses."""
@@ -127,7 +127,7 @@ def test_the_last_image_has_no_flow(data: Dataset):
     assert camera_of(episode.observe(last)["front"]).flow is None
 
 
-def test_lidar_and_depth_agree_ahead(data: Dataset):
+def test_lidar_and_depth_agree_straight_ahead(data: Dataset):
     found = data[0].observe(0)
     ahead = found["scan"].ranges[0, 45]  # type: ignore[union-attr]
     depth = camera_of(found["front"]).depth
@@ -135,7 +135,7 @@ def test_lidar_and_depth_agree_ahead(data: Dataset):
     assert ahead == pytest.approx(depth[31:33, 47:49].mean(), abs=0.05)
 
 
-def test_noise_changes_a_measurement_and_is_the_same_in_any_order(recordings: dict[Recording, Path]):
+def test_noise_changes_a_measurement_and_does_not_depend_on_the_order_of_reading(recordings: dict[Recording, Path]):
     noisy = FRONT.model_copy(
         update={"noise": CameraNoise(colour=ColourNoise(motion_blur_s=0.03)), "outputs": (CameraOutput.RGB,)}
     )

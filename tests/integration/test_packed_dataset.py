@@ -83,7 +83,7 @@ def findings(root: Path, *, deep: bool = False) -> list[tuple[Kind, str]]:
     return [(finding.kind, finding.file) for finding in found if not finding.file.startswith("scenes/")]
 
 
-def test_the_ranges_that_no_job_changes_are_packed_during_a_run(tmp_path: Path) -> None:
+def test_only_ranges_without_unfinished_jobs_are_packed_during_a_run(tmp_path: Path) -> None:
     run = ArchivedRun(tmp_path / "out", planned=6, done=5, record=Recording.STATES)
     assert run.pack(SIZE, is_over=False) == 4
     assert run.file(5).is_file()
@@ -101,7 +101,9 @@ def test_recordings_of_frames_and_datasets_of_one_range_are_not_packed(tmp_path:
     assert ArchivedRun(tmp_path / "frames", 3, 3).pack(SIZE) == 0
 
 
-def test_a_packed_dataset_is_valid_and_has_the_content_of_its_files(run: ArchivedRun, validator: Validator) -> None:
+def test_a_packed_dataset_is_valid_and_has_the_content_of_the_unpacked_dataset(
+    run: ArchivedRun, validator: Validator
+) -> None:
     before = Dataset(run.root)
     poses = [episode.poses for episode in before]
     opened_later = list(Dataset(run.root))

@@ -64,7 +64,7 @@ _PACK = "archive.pack(digests, 1, 10); archive.write_shard_index()"
 
 
 def kill_at_each_step(folder: Path, template: Path, work: str) -> int:
-    """Runs `work` on copies of a directory, killed at another operation each time; returns the number of copies."""
+    """Runs `work` on copies of a directory and kills each run at a different operation; returns the number of kills."""
     command = script(_KILLED_AT_EACH_STEP.format(digests=DIGESTS, work=work), template, folder)
     folder.mkdir()
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -133,7 +133,7 @@ def test_a_drive_with_the_surface_measure_stops_within_a_metre_of_the_footprint(
     assert 0.85 < left < 1.0
 
 
-def test_a_contact_beyond_the_limit_ends_the_attempt_and_is_only_counted_without_limit():
+def test_contacts_beyond_the_limit_end_the_attempt_and_are_only_counted_if_there_is_no_limit():
     plank = Box((-2.6, 0.245, 0.0), (-1.0, 0.4, 0.6))  # overlaps the robot's path by 5 mm; the planner's map omits it
     scene, start, known = box_room([plank]), (-2.0, 0.0, 0.0), Grid.from_scene(box_room())
     free = drive_from(scene, start, known)

@@ -65,7 +65,7 @@ def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finishe
         assert again.progress().jobs["archived"] == 2
 
 
-def test_a_second_coordinator_is_refused_also_from_another_directory(finished, tmp_path):
+def test_a_second_coordinator_is_refused_even_from_another_directory(finished, tmp_path):
     with (
         Coordinator(
             finished.root,

@@ -101,7 +101,7 @@ def test_small_bundles_that_wait_together_are_fetched_in_one_request(tmp_path):
     assert max(worker.served_together) > 1
 
 
-def test_a_bundle_of_another_job_is_refused_as_invalid_and_the_attempt_repeated(opened, worker):
+def test_a_bundle_of_another_job_is_refused_as_invalid_and_dropped(opened, worker):
     job, lease = worker.job()
     worker.deliver(lease, bundle_for(job.model_copy(update={"index": 9})))
     until(lambda: opened.progress().attempts == {"invalid": 1})
@@ -174,7 +174,7 @@ def test_a_restarted_coordinator_resumes_the_run(tmp_path):
         assert worker.beat([unfinished]).lost == ()
 
 
-def test_a_lost_file_is_produced_again_under_the_same_attempt(tmp_path):
+def test_a_lost_episode_is_generated_again_with_the_same_attempt_number(tmp_path):
     catalog, plan, out = room_catalog(tmp_path), room_plan(1), tmp_path / "out"
     with (
         Coordinator(out, plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings())) as opened,
@@ -273,7 +273,7 @@ def test_any_client_can_request_the_progress_without_the_name_of_the_run(opened)
     assert ask_progress(opened.endpoints).run == opened.run
 
 
-def test_operator_requests_run_in_the_coordinator_or_under_the_lock_without_one(tmp_path):
+def test_operator_requests_run_with_or_without_a_coordinator_except_drain_which_needs_one(tmp_path):
     out, now = tmp_path / "out", datetime.now(UTC)
     with Coordinator(
         out, room_plan(2), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=settings())
@@ -285,7 +285,7 @@ def test_operator_requests_run_in_the_coordinator_or_under_the_lock_without_one(
     assert read_address(out) is None
     mark_finished(out, "run-1")
     assert administer(out, AdminRequest(action=AdminAction.RETRY, indices=(1,)), now).changed == (1,)
-    assert read_address(out) is None, "workers wait for a coordinator again"
+    assert read_address(out) is None, "the address file still states that the run is finished"
     with pytest.raises(UsageError, match="only a running coordinator can drain workers"):
         administer(out, AdminRequest(action=AdminAction.DRAIN), now)
 

@@ -77,9 +77,7 @@ def recorded(stage: SceneRenderer, job: Job) -> BundleReader:
 
 
 @pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.DEPTH, ExpertName.PLANNER])
-def test_both_recordings_have_the_same_drive_and_the_digests_of_the_same_frames(
-    stage: SceneRenderer, expert: ExpertName
-) -> None:
+def test_both_recordings_have_the_same_drive_and_equal_frame_digests(stage: SceneRenderer, expert: ExpertName) -> None:
     for index in (1, 2, 3):
         frames, states = (recorded(stage, job_in_room(record, index, expert)) for record in Recording)
         assert (frames.has_frames, states.has_frames) == (True, False)

@@ -44,7 +44,7 @@ def test_episodes_that_are_rendered_at_gateways_are_gathered(
     assert (report.ok, report.digest) == (True, Dataset(recordings[Recording.FRAMES]).digest)
 
 
-def test_a_plan_beside_states_is_refused(
+def test_a_plan_together_with_states_is_refused(
     factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     start = ("coordinator", "start", "demo", "--states", recordings[Recording.STATES], "--out", tmp_path / "o")

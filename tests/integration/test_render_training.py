@@ -39,7 +39,7 @@ def stored(recordings: Recordings, tmp_path: Path) -> TrainingFrames:
 
 
 @pytest.mark.parametrize("memory_bytes", [0, 200_000, 1 << 28])
-def test_rendered_frames_equal_those_of_stored_frames(
+def test_training_frames_rendered_from_states_equal_those_of_a_frames_dataset(
     recordings: Recordings, stored: TrainingFrames, memory_bytes: int
 ) -> None:
     found = rendered(recordings[Recording.STATES], memory_bytes=memory_bytes)
@@ -65,7 +65,7 @@ def test_fewer_samples_per_pixel_give_similar_frames(recordings: Recordings, sto
 
 
 @needs_torch
-def test_training_on_states_gives_the_policy_of_frames_and_writes_no_frame(
+def test_training_on_states_gives_the_same_policy_as_training_on_frames_and_writes_no_frame(
     recordings: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MINIVLA_CACHE", str(tmp_path / "cache"))
@@ -79,6 +79,6 @@ def test_training_on_states_gives_the_policy_of_frames_and_writes_no_frame(
 
 
 @needs_torch
-def test_samples_per_pixel_of_stored_frames_are_refused(recordings: Recordings, tmp_path: Path) -> None:
+def test_the_antialias_option_is_refused_for_stored_frames(recordings: Recordings, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"--antialias 2: .* stores frames, which are not rendered"):
         train(recordings[Recording.FRAMES], tmp_path, options(antialias=2))

@@ -85,7 +85,7 @@ def test_a_dry_run_reports_and_changes_nothing(run, validator):
 
 
 @pytest.mark.parametrize("harm", [flip, Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-7])])
-def test_a_damaged_or_missing_episode_is_queued_again_under_its_attempt(run, validator, harm):
+def test_a_damaged_or_missing_episode_is_queued_again_with_its_attempt_number(run, validator, harm):
     attempt = run.timed_ledger.rows(2)[-1].attempt
     harm(run.file(2))
     assert kinds(mend(run, validator))["requeue"] == 1
@@ -128,7 +128,7 @@ def test_an_unfinished_episode_resumes_with_its_attempt_and_budget(tmp_path, val
     assert (row.draw, row.attempt, row.misses, row.state) == (0, 2, 1, "pending")
 
 
-def test_an_episode_without_draws_left_stays_failed_after_a_rebuild(tmp_path, validator):
+def test_an_episode_without_remaining_draws_stays_failed_after_a_rebuild(tmp_path, validator):
     run = ArchivedRun(tmp_path / "out", planned=1, done=0, misses=6)
     assert run.states() == {1: "failed"}
     (run.root / "ledger.db").unlink()

@@ -79,7 +79,7 @@ def test_a_repeated_simulation_of_the_job_gives_identical_measurements(rigged: P
     assert replay_episode(rigged, episode.path, "gl", lambda _step, _steps: None).is_identical
 
 
-def test_rendering_again_finds_measurements_that_were_exchanged(rigged: Path) -> None:
+def test_rendering_again_finds_measurements_of_a_wrong_step(rigged: Path) -> None:
     episode = Dataset(rigged)[0]
     with episode.path.open("rb") as file:
         assert compare_rendered(EpisodeBundle(file, rigged), RenderDifference()) == []

@@ -107,7 +107,7 @@ def test_episodes_follow_each_other_without_overlap(out: Path, dataset: Path, tm
     assert read(later / "episodes/ep_000001.mcap")[0]["/odom"][0][0] == 1_800_000_000 * 10**9
 
 
-def test_frames_follow_rep_105_and_end_in_the_optical_frame(bag: Bag, dataset: Path) -> None:
+def test_coordinate_frames_follow_rep_105_up_to_the_optical_frame(bag: Bag, dataset: Path) -> None:
     static = {one.child_frame_id: one for one in bag["/tf_static"][0][1].transforms}
     chain = [(one.header.frame_id, one.child_frame_id) for one in static.values()]
     assert chain == [
@@ -185,7 +185,9 @@ def test_the_calibration_matches_the_camera_projection(bag: Bag) -> None:
         assert not info.d.any()
 
 
-def test_map_target_and_instruction_are_those_of_the_scene(bag: Bag, dataset: Path) -> None:
+def test_map_and_target_are_those_of_the_scene_and_the_instruction_is_that_of_the_episode(
+    bag: Bag, dataset: Path
+) -> None:
     scene, episode = decode_scene(io.BytesIO(office_package())), Dataset(dataset)[0]
     grid = bag["/map"][0][1]
     assert (grid.header.frame_id, grid.info.resolution) == ("map", pytest.approx(scene.info.grid_resolution_m))
@@ -242,7 +244,7 @@ def test_a_missing_package_is_named_with_its_extra(dataset: Path, tmp_path: Path
     assert not (tmp_path / "out").exists()
 
 
-def test_an_export_without_ros2_keeps_its_description() -> None:
+def test_stored_options_omit_ros2_unless_it_is_set() -> None:
     assert McapOptions(fps=30).model_dump(mode="json") == {"fps": 30}
     assert McapOptions().model_dump(mode="json") == {"fps": None}
     assert McapOptions.model_validate_json(McapOptions(ros2=True).model_dump_json()).ros2

@@ -91,7 +91,9 @@ def test_joined_shards_have_the_digest_and_the_failures_of_the_run_without_shard
     assert (joined.jobs, joined.attempts) == (expected.jobs, expected.attempts)
     assert expected.attempts == {"success": EPISODES, "collision": 1}
     assert report.digest == read_dataset_meta(whole.place).dataset_digest is not None
-    assert report.digest == join(tmp_path / "joined", tmp_path, checker, shards).digest, "joining twice changes nothing"
+    assert report.digest == join(tmp_path / "joined", tmp_path, checker, shards).digest, (
+        "the second join changes the dataset"
+    )
 
 
 def test_an_interrupted_join_is_completed_by_the_same_call(shards, tmp_path, checker):
@@ -230,4 +232,4 @@ def test_a_shard_in_a_bucket_is_taken_over_only_if_its_state_does_not_change(
     ):
         ShardRecorder(first, shard, PLAN, room_catalog(tmp_path)).record(progress)
     killed.close()
-    assert not may_take_over(second, stop), "no home holds the lock"
+    assert not may_take_over(second, stop), "a closed coordinator holds the lock"

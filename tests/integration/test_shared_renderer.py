@@ -79,7 +79,7 @@ def test_a_rendering_process_that_died_is_replaced_at_the_next_frame(many_scenes
 @pytest.mark.parametrize(
     ("number", "is_compared", "warnings"), [(None, False, 1), (0, False, 1), (1, False, 0), (None, True, 0)]
 )
-def test_a_warning_of_another_renderer_is_logged_once_by_one_worker_of_a_loader_and_not_by_a_comparison(
+def test_the_warning_about_another_renderer_is_logged_once_per_loader_and_never_in_a_comparison(
     many_scenes: list[ScenePackage],
     monkeypatch: pytest.MonkeyPatch,
     number: int | None,
@@ -97,7 +97,7 @@ def test_a_warning_of_another_renderer_is_logged_once_by_one_worker_of_a_loader_
     assert [entry["event"] for entry in logs] == ["renderer_differs"] * warnings
 
 
-def test_a_scene_package_of_many_with_one_name_is_found_by_its_digest(
+def test_one_of_many_scene_packages_with_the_same_name_is_found_by_its_digest(
     many_scenes: list[ScenePackage], tmp_path: Path
 ) -> None:
     for package in many_scenes:

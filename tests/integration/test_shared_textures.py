@@ -109,7 +109,7 @@ def test_a_run_does_not_start_without_a_texture(run: Path, tmp_path: Path) -> No
         open_catalog(PLAN, run, tmp_path / "scenes", only=())
 
 
-def test_packages_of_another_folder_need_its_textures(run: Path, tmp_path: Path) -> None:
+def test_packages_in_another_folder_require_the_textures_in_that_folder(run: Path, tmp_path: Path) -> None:
     catalog = open_catalog(PLAN, tmp_path / "new", tmp_path / "scenes", packages=run / "scenes")
     assert set(catalog) == {FIRST, SECOND}
     textures(run)[0].unlink()

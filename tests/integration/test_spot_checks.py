@@ -61,7 +61,9 @@ def unchecked(root: Path) -> list[int]:
         engine.dispose()
 
 
-def test_a_host_with_a_false_claim_is_barred_and_its_invalid_episodes_are_generated_again(tmp_path: Path) -> None:
+def test_a_host_that_falsely_announces_a_validation_is_barred_and_its_invalid_episodes_are_generated_again(
+    tmp_path: Path,
+) -> None:
     with (
         started(tmp_path, 0.0) as coordinator,
         WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,
@@ -102,7 +104,7 @@ def test_a_host_with_a_false_claim_is_barred_and_its_invalid_episodes_are_genera
             validator.check(tmp_path / "out" / "episodes" / f"{episode.episode_id}.zip", episode.meta.job)
 
 
-def test_workers_do_not_validate_and_their_claims_are_ignored_without_spot_checks(tmp_path: Path) -> None:
+def test_without_spot_checks_workers_do_not_validate_and_announced_validations_are_ignored(tmp_path: Path) -> None:
     with (
         capture_logs() as lines,
         started(tmp_path, None) as coordinator,
@@ -118,11 +120,12 @@ def test_workers_do_not_validate_and_their_claims_are_ignored_without_spot_check
         for make in (bundle_for, forged_for):
             job, lease = false_peer.job()
             assert false_peer.deliver(lease, make(job), is_validated=True)
-        until(lambda: archived(coordinator) == 1 and bool(coordinator.progress().hosts))  # in either order
+        # the two bundles finish in any order
+        until(lambda: archived(coordinator) == 1 and bool(coordinator.progress().hosts))
         assert unchecked(tmp_path) == []
 
 
-def test_the_forged_bundle_passes_only_the_check_of_its_claims(tmp_path: Path) -> None:
+def test_the_forged_bundle_passes_the_reduced_validation_and_fails_the_complete_one(tmp_path: Path) -> None:
     path = tmp_path / "ep_000001.zip"
     path.write_bytes(forged_for(job_for()))
     with Validator() as validator:

@@ -145,7 +145,7 @@ def connected(server: StatusServer) -> socket.socket:
 
 
 def drip(client: socket.socket, text: bytes, most: int) -> int:
-    """Sends one byte every 0.25 s until the server closes the connection, at most `most`; returns the number sent."""
+    """Sends a byte every 0.25 s, at most `most`, until the server closes the connection; returns the number sent."""
     client.settimeout(0.25)
     for sent in range(most):
         try:
@@ -172,7 +172,7 @@ def test_a_slow_request_is_closed_at_its_total_deadline(server, text):
     whole, _, _ = text.partition(b"aaaa")
     with connected(server) as client:
         client.sendall(whole)
-        assert drip(client, b"a" * 200, 120) < 120, "a request of thirty seconds was waited for"
+        assert drip(client, b"a" * 200, 120) < 120, "the server waited thirty seconds for a request"
 
 
 def test_a_client_that_does_not_read_its_response_is_disconnected(server):
@@ -200,7 +200,7 @@ def test_an_endless_first_line_is_cut_off(server):
         with contextlib.suppress(OSError):
             endless.sendall(b"GET /" + b"a" * 10_000_000)
         assert ask(server, "/healthz") == (200, "ok\n")
-        with contextlib.suppress(ConnectionResetError):  # if the server closed it with unread bytes
+        with contextlib.suppress(ConnectionResetError):  # the server may close with unread bytes
             assert not endless.recv(100).startswith(b"HTTP/1.1 200")
 
 

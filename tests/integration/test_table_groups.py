@@ -142,7 +142,7 @@ def test_failed_attempts_are_read_for_the_changed_groups_only(tmp_path):
         lambda path: path.write_bytes(path.read_bytes().replace(b"office", b"ofFice")),
     ],
 )
-def test_a_missing_or_changed_former_table_is_read_from_the_ledger_again(tmp_path, harm):
+def test_all_rows_are_read_again_if_the_previous_table_is_missing_or_changed(tmp_path, harm):
     run, found = Run(tmp_path), rows(range(1, 31))
     run.write(found)
     whole = run.read()
@@ -157,7 +157,7 @@ def test_the_first_write_of_a_process_copies_nothing(tmp_path):
     assert Run(tmp_path).write(found, ()) == len(found)
 
 
-def test_row_groups_have_the_bytes_of_one_writer(tmp_path):
+def test_a_table_of_row_groups_has_the_bytes_that_one_parquet_writer_writes(tmp_path):
     Run(tmp_path).write(rows(range(1, 2 * GROUP_ROWS + 1)))
     path = tmp_path / "metadata.parquet"
     with pq.ParquetFile(path) as file, pq.ParquetWriter(tmp_path / "one", file.schema_arrow, compression="zstd") as one:

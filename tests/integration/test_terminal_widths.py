@@ -39,7 +39,7 @@ for columns, words in json.loads(sys.argv[1]):
 
 
 def on_terminal(calls: list[tuple[int, list[str]]]) -> list[str]:
-    """Runs (columns, arguments) calls of `factory` on a terminal of that width; returns the outputs without colours."""
+    """Runs `factory` for each (columns, arguments) on a terminal of that width; returns the outputs without colours."""
     child, terminal = pty.fork()
     if child == 0:
         environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"TERM": "xterm"}

@@ -79,7 +79,7 @@ def test_the_environment_passes_the_checker_of_stable_baselines(drives: Dataset,
 
 
 @pytest.mark.timeout(1200)
-def test_ppo_learns_a_thousand_steps(drives: Dataset) -> None:
+def test_ppo_trains_for_a_thousand_steps(drives: Dataset) -> None:
     import torch
 
     opened = make(drives, instruction="tokens")

@@ -54,12 +54,14 @@ def rewrite(path: Path, brighter: int) -> None:
 
 
 @pytest.mark.parametrize("record", Recording)
-def test_rendered_frames_of_a_whole_dataset_have_their_digests(recordings: Recordings, record: Recording) -> None:
+def test_rendered_frames_of_a_whole_dataset_have_the_recorded_digests(
+    recordings: Recordings, record: Recording
+) -> None:
     report = verify(recordings[record], deep=True, render=MAX_EPISODES)
     assert (report.ok, report.rendered) == (True, 2)
 
 
-def test_a_number_of_episodes_is_rendered(recordings: Recordings) -> None:
+def test_only_the_requested_number_of_episodes_is_rendered(recordings: Recordings) -> None:
     assert verify(recordings[Recording.STATES], render=1).rendered == 1
     assert verify(recordings[Recording.STATES]).rendered == 0
 
@@ -90,7 +92,7 @@ def test_a_false_visibility_and_a_forbidden_start_view_of_a_states_recording_are
     assert any(text.startswith("start: the target is ") for text in found)
 
 
-def test_the_distance_of_stored_frames_is_reported_by_channel(copy: Callable[[Recording], Path]) -> None:
+def test_the_difference_from_stored_frames_is_reported_by_channel(copy: Callable[[Recording], Path]) -> None:
     root = copy(Recording.FRAMES)
     rewrite(root / EPISODES / "ep_000001.zip", 2)
     report = verify(root, render=MAX_EPISODES)
@@ -139,7 +141,7 @@ def test_a_reference_without_frames_is_refused(recordings: Recordings) -> None:
         verify(recordings[Recording.STATES], render=1, reference=recordings[Recording.STATES])
 
 
-def test_frames_of_a_reference_that_were_not_recorded_are_found(
+def test_reference_frames_that_do_not_match_the_recorded_digests_are_found(
     copy: Callable[[Recording], Path], recordings: Recordings
 ) -> None:
     root = copy(Recording.STATES)

@@ -149,7 +149,7 @@ def answer(client: http.client.HTTPSConnection, host: str) -> int:
     return client.getresponse().status
 
 
-def test_with_tls_only_clients_with_a_certificate_read_and_changes_require_the_token(data, tmp_path):
+def test_with_tls_reading_requires_a_client_certificate_and_changes_also_require_the_token(data, tmp_path):
     pki = make_authority(tmp_path / "pki", ("node",), ("boss",))
     files = files_of(pki, "boss")
     with serve(site_of(str(data)), "127.0.0.1:0", None, pki / "hub") as url:

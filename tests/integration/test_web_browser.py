@@ -174,7 +174,7 @@ def test_a_played_episode_ends_at_its_last_step_with_the_pixels_of_the_dataset(b
     assert shown == hashlib.sha256(episode.rgb(last).tobytes()).hexdigest()
 
 
-def test_states_play_in_small_frames_and_pause_on_those_of_the_dataset(browser, recordings):
+def test_states_play_in_small_frames_and_a_paused_player_shows_the_frames_of_the_dataset(browser, recordings):
     episode = Dataset(recordings[Recording.STATES])[0]
     expected = {
         "rgb": lambda t: episode.rgb(t),
@@ -291,7 +291,7 @@ def confirm(page: Any, url: str, action: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_is_watched_until_it_ends_with_a_retried_episode_and_drained_workers(browser, tmp_path):
+def test_the_page_of_a_run_updates_itself_and_can_retry_an_episode_and_drain_workers(browser, tmp_path):
     settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=5.0)
     options = CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
     plan = room_plan(2, draws=1, attempts_per_draw=1)

@@ -112,7 +112,7 @@ def test_filters_are_part_of_the_url(client):
     assert client.ask("/episodes?colour=red").status == 400
 
 
-def test_flags_and_notes_are_stored_with_the_key_of_the_form_only(data, tmp_path):
+def test_flags_and_notes_are_stored_only_with_the_key_of_the_form(data, tmp_path):
     make_dataset(tmp_path / "data", 2)
     with web_page(tmp_path / "data") as client:
         here = "/episodes/ep_000001"

@@ -204,7 +204,7 @@ def test_further_signals_of_a_batch_system_do_not_shorten_the_drain(tmp_path, nu
 
 @pytest.fixture(params=[signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1])
 def number(request):
-    """Signal that ends a child process; restores the default action, which nohup or a background shell may change."""
+    """Signal that ends a child process; sets its default action, because nohup or a background shell may ignore it."""
     before = signal.signal(request.param, signal.SIG_DFL)
     yield request.param
     signal.signal(request.param, before)

@@ -40,7 +40,7 @@ class Seen(NamedTuple):
 
 
 def main() -> None:
-    assert shutil.which("ffprobe"), "ffprobe is not here: install FFmpeg, e.g. apt install ffmpeg"
+    assert shutil.which("ffprobe"), "ffprobe is not installed: install FFmpeg, e.g. apt install ffmpeg"
     ffmpeg = subprocess.run(["ffprobe", "-version"], capture_output=True, text=True, check=True).stdout.split()[2]
     readers = {named("av"): see_with_av, f"ffprobe {ffmpeg}": see_with_ffprobe}
     for export in map(Path, sys.argv[1:]):

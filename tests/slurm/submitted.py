@@ -94,7 +94,7 @@ class SubmittedRun:
         return found[0]
 
     def cancel_one(self) -> str:
-        """Cancels tasks until one of them has lost a job; returns the comma-separated numbers of these tasks."""
+        """Cancels tasks until one has lost a job; returns the comma-separated numbers of all cancelled tasks."""
         cancelled: list[int] = []
 
         def cancel(task: Task) -> None:

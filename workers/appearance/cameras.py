@@ -59,7 +59,7 @@ def changed_camera(camera: Camera, change: CameraChange | None) -> Camera:
 
 
 def changed_sensor(sensor: Camera | Scan, change: CameraChange | None) -> Camera | Scan:
-    """Returns the result of `changed_camera` for a camera, and an unchanged lidar."""
+    """Returns the result of `changed_camera` for a camera; returns a lidar unchanged."""
     return sensor if isinstance(sensor, Lidar2d | Lidar3d) else changed_camera(sensor, change)
 
 

@@ -1,8 +1,8 @@
 """Places small objects on the floor beside the path of the robot. Pure functions.
 
 The robot drives without the objects, so each object keeps a clearance from the footprint at every pose. It is outside
-of the area between the robot and the target at the first and the last pose, so it hides no pixel of the target
-there.
+of the area between the robot and the target at the first and the last pose, so it hides no pixel of the target at these
+poses.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def place_clutter(
 
 
 def _distance_to_path(grid: Grid, poses: Floats) -> Floats:
-    """Returns (H, W) a lower bound of the distance from each cell to the path, metres.
+    """Returns lower bounds (H, W) of the distances from the cells to the path, metres.
 
     The path consists of the centres of the footprint's discs at all poses.
     """
@@ -105,7 +105,7 @@ def _yaw(qw: float, qx: float, qy: float, qz: float) -> float:
 
 
 def _in_view(grid: Grid, target: Target, poses: Floats) -> Bools:
-    """Returns (H, W) the cells in or near the area between the robot and the target, at the first or the last pose."""
+    """Returns the cells (H, W) in or near the area between the robot and the target, at the first or the last pose."""
     rows, columns = np.indices(grid.occupancy.shape)
     points = grid.centre_of(np.stack((rows, columns), axis=-1).reshape(-1, 2))
     corners = np.array(target.footprint_m or _box(target))
@@ -141,7 +141,7 @@ def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> f
 
 
 def _distance_to_hull(points: Floats, hull: Floats) -> Floats:
-    """Returns (N,) the distance from points to a convex polygon, metres; 0 inside."""
+    """Returns the distances (N,) from points to a convex polygon, metres; 0 inside."""
     ends = np.roll(hull, -1, axis=0)
     least, inside = np.full(len(points), np.inf), np.ones(len(points), bool)
     for start, end in zip(hull, ends, strict=True):

@@ -25,7 +25,7 @@ class FloorTriangle(NamedTuple):
     """(3, 3) corners, metres."""
 
     def weights(self, xy: Floats) -> Floats:
-        """Returns (N, 3) the weights of the corners at points (N, 2), which may be outside of the triangle."""
+        """Returns the weights (N, 3) of the corners at points (N, 2), which may be outside of the triangle."""
         a, b, c = self.corners[:, :2]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         x, y = xy[:, 0], xy[:, 1]

@@ -192,7 +192,7 @@ def _points(scene: CompiledScene, areas: Floats, cross: Floats) -> tuple[Ints, I
 
 
 def _texels(scene: CompiledScene, triangle: Ints, weights: Floats) -> Floats:
-    """Returns (N, 3) the linear colour of the texture at points of triangles; white without one."""
+    """Returns the linear colours (N, 3) of the texture at points of triangles; white without one."""
     layers = np.repeat(scene.part_texture, scene.part_count // 3).astype(np.int64)[triangle]
     found = np.ones((len(triangle), 3))
     rows = np.flatnonzero(layers >= 0)
@@ -207,7 +207,7 @@ def _texels(scene: CompiledScene, triangle: Ints, weights: Floats) -> Floats:
 
 
 def planar_uvs(positions: NDArray[np.float32], tile_m: float) -> NDArray[np.float32]:
-    """Returns (V, 2) texture coordinates of triangles: world positions along the two axes that they face least.
+    """Returns texture coordinates (V, 2) of triangles: world positions along the two axes that they face least.
 
     Args:
         positions: (V, 3) corners, three for each triangle, metres.

@@ -111,7 +111,7 @@ def _encode(light: Singles, exposure: float) -> NDArray[np.uint8]:
 
 @functools.cache
 def _light_of_codes() -> Singles:
-    """Returns (256,) the light of each code: the inverse of the tone curve."""
+    """Returns the light (256,) of the codes: the inverse of the tone curve."""
     found = []
     for code in range(256):
         shown = (code / 255) ** _GAMMA

@@ -44,7 +44,7 @@ def surface_of(prim_path: str) -> str:
 
 
 def find_slots(scene: CompiledScene) -> tuple[list[SurfaceSlot], Ints]:
-    """Returns the slots of a scene in a fixed order, and (V,) the slot of each vertex; -1 for lamps."""
+    """Returns the slots of a scene in a fixed order, and the slots (V,) of its vertices; -1 for lamps."""
     surfaces = {item.id: "object" if item.category else surface_of(item.prim_path) for item in scene.info.instances}
     kinds = ("object", "wall", "floor", "ceiling")
     of_part = np.array([kinds.index(surfaces.get(int(number), "object")) for number in scene.part_instance], np.int64)
@@ -88,7 +88,7 @@ def _vertices(scene: CompiledScene) -> Ints:
 
 
 def _emits(scene: CompiledScene) -> Bools:
-    """Returns (V,) whether a vertex belongs to a triangle with full light at all corners, as lamps have."""
+    """Returns whether each of the V vertices belongs to a triangle with full light at all corners, as lamps have."""
     if not scene.light_map.size:
         return np.zeros(len(scene.positions), bool)
     rows, columns = scene.light_map.shape[:2]

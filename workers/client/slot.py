@@ -33,7 +33,7 @@ _STARTS = 3
 _LAST_TRIES = 2
 _SIGNALLED_S = 1.0
 """Time for which a slot whose simulation was killed waits for a stop signal to the worker, seconds. If the signal
-arrives, a batch system has ended both: the job is returned, and no crash is reported."""
+arrives, a batch system has ended simulation and worker: the job is returned, and no crash is reported."""
 _FALLBACK = "TinyRenderer"
 _FALLBACK_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 

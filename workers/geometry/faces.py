@@ -174,7 +174,7 @@ def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Float
         )
     tops = np.concatenate(([0], np.cumsum([size[1] for size in sizes])))
     faces, places = [], np.zeros_like(plane)
-    # halved for a cube, because towards its corners the depth, by which faces clip, is the distance divided by 1.73
+    # halved for a cube: its faces clip by depth, which at a corner is the distance divided by 1.73
     near = camera.near_m if len(used) == 1 else camera.near_m / 2
     for side, low, size, top in zip(used, lows, sizes, tops.tolist(), strict=False):
         columns, rows = map(int, size)

@@ -87,11 +87,11 @@ class Grid:
         return self.values_at(self.clearance, xy, 0.0).astype(np.float64)
 
     def are_poses_free(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike, margin_m: float = 0.0) -> Bools:
-        """Returns for arrays of base_link poses whether the footprint with `margin_m` around it is free."""
+        """Returns whether the footprint with `margin_m` around it is free at each of the base_link poses."""
         return self._least_clearance(x, y, yaw) >= DISC_RADIUS_M + margin_m
 
     def room_at_poses(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
-        """Returns for base_link poses the free space around the footprint, metres; negative in an obstacle."""
+        """Returns the free space around the footprint at base_link poses, metres; negative in an obstacle."""
         return self._least_clearance(x, y, yaw) - DISC_RADIUS_M
 
     def _least_clearance(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
@@ -106,7 +106,7 @@ class Grid:
         return bool(self.are_poses_free(x, y, yaw, margin_m))
 
     def are_lines_free(self, starts: ArrayLike, ends: ArrayLike, clearance_m: float) -> Bools:
-        """Returns for segments from (N, 2) to (N, 2) of base_link whether the robot can drive along them.
+        """Returns whether the robot can move base_link along each of the segments from `starts` to `ends` (N, 2).
 
         The area that the body sweeps, up to its front at the end pose, must have `clearance_m` of free space on both
         sides. Three tracks of discs, sampled at half the grid's resolution, cover that area.
@@ -130,7 +130,7 @@ class Grid:
         return bool(self.are_lines_free(start, end, clearance_m)[0])
 
     def _are_tracks_free(self, a: Floats, b: Floats, radius: float) -> Bools:
-        """Returns for each segment whether a disc of `radius` metres is free everywhere on it."""
+        """Returns whether a disc of `radius` metres is free everywhere on each segment."""
         owner, points = self._samples(a, b)
         blocked = self.clearance_at(points) < radius
         free = np.ones(len(a), bool)
@@ -150,7 +150,7 @@ class Grid:
         return owner, points
 
     def have_sight(self, xy: ArrayLike, target: Target) -> Bools:
-        """Returns for points (N, 2) whether they have a line of sight to a target.
+        """Returns whether each of the points (N, 2) has a line of sight to a target.
 
         Only tall obstacles block it: walls and full racks that fill the robot's height band and are higher than its
         camera and a person, but not desks. The target's box and one cell around it never block it.
@@ -160,7 +160,7 @@ class Grid:
         return self.see_boxes(points, np.broadcast_to(centre, points.shape), np.broadcast_to(reach, points.shape))
 
     def see_boxes(self, points: Floats, centres: Floats, reaches: Floats) -> Bools:
-        """Returns for points (N, 2) whether each has a line of sight to its target; see `have_sight`.
+        """Returns whether each of the points (N, 2) has a line of sight to its target; see `have_sight`.
 
         Args:
             points: x, y, metres.
@@ -180,7 +180,7 @@ class Grid:
         return bool(self.have_sight(xy, target)[0])
 
     def connected_floor(self, seed_xy: ArrayLike | None = None, clearance_m: float = CONNECT_CLEARANCE_M) -> Bools:
-        """Returns (H, W) the connected cells on which the body centre has `clearance_m`.
+        """Returns the connected cells (H, W) on which the body centre has `clearance_m`.
 
         Args:
             seed_xy: world x, y of a point in the component, metres; `None`, or a point outside the floor, selects the
@@ -198,7 +198,7 @@ class Grid:
 
 
 def are_within(points: Floats, boxes: Floats) -> Bools:
-    """Returns for points (N, 2) whether each is inside any of the rectangles (K, 2, 2), lower and upper corner."""
+    """Returns whether each of the points (N, 2) is inside any of the rectangles (K, 2, 2), lower and upper corner."""
     inside = np.ones((len(boxes), len(points)), bool)
     for k in (0, 1):
         inside &= (points[:, k] > boxes[:, 0, k, None]) & (points[:, k] < boxes[:, 1, k, None])

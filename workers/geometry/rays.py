@@ -24,7 +24,7 @@ class Caster:
         self._normals = np.ascontiguousarray(cross.T)
 
     def first_hits(self, origins: Singles, directions: Singles, reach_m: float) -> tuple[Singles, NDArray[np.bool_]]:
-        """Returns for N rays the distance of the first hit, at most `reach_m`, and whether it is a back face.
+        """Returns the distances (N,) of the first hits, at most `reach_m`, and whether each is a back face.
 
         Args:
             origins: (N, 3) positions, metres.
@@ -40,10 +40,10 @@ class Caster:
         return distance, has_met & (x + y + z > 0)
 
     def first_triangles(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.int32]:
-        """Returns for N rays the number of the triangle that is hit first within the length of the ray, or -1."""
+        """Returns the number of the triangle that each ray hits first within its length, or -1."""
         return np.asarray(self._scene.run(origins, directions, lengths_m, query="INTERSECT"))
 
     def is_free(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.bool_]:
-        """Returns for N rays whether they hit nothing within their length."""
+        """Returns whether each ray hits nothing within its length."""
         met = np.asarray(self._scene.run(origins, directions, lengths_m, query="OCCLUDED"))  # 0 for a hit, else -1
         return np.asarray(met != 0, np.bool_)

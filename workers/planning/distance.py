@@ -122,7 +122,7 @@ def _shifted(field: NDArray[Number], row: int, column: int) -> tuple[NDArray[Num
 
 
 def cells_within(grid: Grid, goal: Goal) -> Bools:
-    """Returns (H, W) the cells whose centres are in a goal."""
+    """Returns the cells (H, W) whose centres are in a goal."""
     within, reach_m = np.zeros(grid.occupancy.shape, bool), goal.radius_m + goal.extent_m
     low, high = (grid.cell_of(np.asarray(goal.centre_m) + side * reach_m) for side in (-1, 1))
     first, last = np.maximum(low, 0), np.minimum(high + 1, within.shape)
@@ -137,7 +137,7 @@ def cells_within(grid: Grid, goal: Goal) -> Bools:
 
 
 def arrival_cells(grid: Grid, target: Target, goal: Goal) -> Bools:
-    """Returns (H, W) the cells in the goal of a target that have line of sight to it."""
+    """Returns the cells (H, W) in the goal of a target that have line of sight to it."""
     near = cells_within(grid, goal)
     near[near] = grid.have_sight(grid.centre_of(np.argwhere(near)), target)
     return near

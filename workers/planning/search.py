@@ -83,7 +83,7 @@ def plan_path(
 
 @kept_with_grid(1)
 def _weights(grid: Grid) -> NDArray[np.float64]:
-    """Returns (H, W) the cost of each cell per metre of path, at least 1; it is higher where clearance is small."""
+    """Returns the costs (H, W) of the cells per metre of path, at least 1; they are higher where clearance is small."""
     lack = np.clip((_WIDE_M - grid.clearance) / (_WIDE_M - DISC_RADIUS_M), 0.0, 1.0)
     weights: NDArray[np.float64] = 1.0 + _NARROW_COST * lack**2
     return weights

@@ -174,7 +174,7 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
 
 @runtime_checkable
 class PartialRenderer(Protocol):
-    """Renderer that renders one instance at a lower cost than the image; its pixels equal those of the whole image."""
+    """Renderer that renders one instance at a lower cost than the whole image, with the same pixels."""
 
     def render_instance(self, pose: Pose, instance_id: int) -> tuple[Window, DepthAndIds]:
         """Returns a window of the image from a pose with all pixels of an instance, and the image in that window.

@@ -99,7 +99,7 @@ def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np
 
 
 def may_reach(facts: NDArray[np.float64], optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.bool_]:
-    """Returns (N,) whether each box may have a point in a part of the view, up to a depth.
+    """Returns whether each of the N boxes may have a point in a part of the view, up to a depth.
 
     Args:
         facts: (7, N) columns of `PartBounds.facts`.

@@ -91,7 +91,7 @@ class GlTarget:
         self._images.viewport = _guarded(face.top, view.width, view.height)
 
     def read_colour(self, channels: int = 3) -> NDArray[np.uint8]:
-        """Returns (height, width, channels) the colour, which is undefined in pixels without a surface.
+        """Returns the colour (height, width, channels), which is undefined in pixels without a surface.
 
         `read_depth_and_ids` sets these pixels to 0 if the array is passed to it.
         """

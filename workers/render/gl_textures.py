@@ -64,7 +64,7 @@ class TextureStore:
         return stored
 
     def _find(self, layers: Sequence[Layer]) -> list[tuple[moderngl.TextureArray, int] | None]:
-        """Returns for each layer an array that contains it, and its index in that array; `None` for new layers."""
+        """Returns the array that contains each layer, and the layer's index in it; `None` for new layers."""
         known: dict[int, tuple[moderngl.TextureArray, int]] = {}
         for stored in self._arrays:
             for place, reference in enumerate(stored.layers):

@@ -83,7 +83,7 @@ class Occluders:
     def hidden(
         self, bounds: PartBounds, parts: NDArray[np.intp], optical: OpticalPose, view: Perspective
     ) -> NDArray[np.bool_]:
-        """Returns (len(parts),) true for parts that are completely hidden behind one rectangle.
+        """Returns whether each of the parts is completely hidden behind one rectangle.
 
         Args:
             bounds: bounding boxes of all parts.
@@ -128,7 +128,7 @@ class Occluders:
 
 
 def _are_large(triangles: F64) -> NDArray[np.bool_]:
-    """Returns for triangles (N, 3, 3) whether a rectangle of twice their area may be large enough."""
+    """Returns whether a rectangle of twice the area of each triangle (N, 3, 3) may be large enough."""
     sides, others = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     return np.asarray(np.linalg.norm(cross(sides, others), axis=1) > _LEAST_AREA_M2 / 2)
 

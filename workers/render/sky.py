@@ -39,7 +39,7 @@ class SkyPainter:
 
 
 def _image(sky: Sky, rise: NDArray[np.float64], view: Perspective) -> NDArray[np.uint8]:
-    """Returns (height, width, 3) the sky in all pixels; `rise` (3,) is the world's z axis in the optical frame."""
+    """Returns the sky (height, width, 3) in all pixels; `rise` (3,) is the world's z axis in the optical frame."""
     columns, rows = view.steps()
     across, down = columns[None, :], rows[:, None]
     sine = (rise[0] * across + rise[1] * down + rise[2]) / np.sqrt(across * across + down * down + 1.0)

@@ -124,7 +124,7 @@ def _displacements(std_px: float, width: int) -> tuple[Ints, int]:
 
 @functools.lru_cache(maxsize=16)
 def _inner_pixels(shape: tuple[int, int], margin: int) -> Ints:
-    """Returns for each pixel (H, W) the flat index of the nearest pixel that is not in the margin of the image."""
+    """Returns the flat indices (H, W) of the nearest pixels that are not in the margin of the image."""
     rows, columns = (np.clip(np.arange(side), margin, side - 1 - margin) for side in shape)
     return rows[:, None] * shape[1] + columns
 
@@ -148,7 +148,7 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     pixels = np.flatnonzero(columns[:-1] >= columns[1:])
     pixels = pixels[(pixels + 1) % width > 0]
     nearer = columns[pixels + 1]
-    # a surface hides the pixels to its left, up to the first one that the second view, too, shows to its left
+    # a surface hides the pixels to its left, up to the first one that is to its left in the second view, too
     while len(pixels):
         found[pixels] = True
         has_left = pixels % width > 0

@@ -1,7 +1,7 @@
 """Poses of sensors along a trajectory: mounting pose, world frame, and poses between control steps.
 
 Pure functions on arrays of poses x, y, z, qw, qx, qy, qz of base_link, as recorded. Uses no BLAS, so the results
-have the same bits on every processor.
+are bit-identical on all processors.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def _unit_normals(triangles: Singles) -> Floats:
 
 
 def _two_sided(triangles: Singles, normals: Floats) -> Bools:
-    """Returns for each triangle whether another one at the same place faces the other way, as in a sheet of paper."""
+    """Returns whether another triangle at the place of each triangle faces the other way, as in a sheet of paper."""
     found, is_first = np.zeros(len(triangles), bool), _dot(normals.T, _TILTED) > 0
     for half in (is_first, ~is_first):
         own, others = normals[half].astype(np.float32), triangles[~half]

@@ -61,7 +61,7 @@ def render_recording(
 
 
 def _require_job(recorded: Job, job: Job) -> None:
-    """Raises `WorldError` unless a recording is of the job; record, view, plan and run may differ."""
+    """Raises `WorldError` unless a states recording is of the job; record, view, plan and run may differ."""
     of_plan = {"record": job.record, "view": job.view, "plan_digest": job.plan_digest, "run": job.run}
     if recorded.record is not Recording.STATES or recorded.model_copy(update=of_plan) != job:
         raise WorldError(f"{job.episode_id}: the states are of another job: render the dataset that contains this job")

@@ -73,7 +73,7 @@ class LoadedScene:
         return SceneRays(self.scene)
 
     def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
-        """Returns for base_link poses whether the body centre is on the connected floor."""
+        """Returns whether the body centre is on the connected floor at each of the base_link poses."""
         return self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0).astype(bool)
 
     @functools.cached_property

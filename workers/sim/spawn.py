@@ -37,7 +37,7 @@ _PREDICTIONS = 32
 straight, also the largest number of starts whose path is predicted, in all tiers; if none of these paths has the free
 space `_PREDICTION_MARGIN_M`, the start of the path with the most free space is selected."""
 _REJECTIONS = 256
-"""The search for a start ends after the view of this number of otherwise valid starts was rejected."""
+"""Number of rejected views of otherwise valid starts after which the search for a start ends."""
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
@@ -188,7 +188,7 @@ def surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.
     longest = high - job.task.success_radius_m
     if job.expert is ExpertName.PLANNER:
         longest = min(longest, job.planner.max_path_m)
-    # the field is up to 2.8 % longer than the shortest path, so the smallest distance is checked again for the start
+    # a distance of the field is up to 2.8 % longer than the shortest path, so `_is_far` checks the lower limit again
     return np.asarray(points[(floor_m >= low - job.task.success_radius_m) & (floor_m <= longest)])
 
 
@@ -201,7 +201,7 @@ def _points_on_free_lines(job: Job, target: Target, place: LoadedScene) -> NDArr
 
 
 def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
-    """Returns for poses (N, 3) whether an episode of the job may start there.
+    """Returns whether an episode of the job may start at each of the poses (N, 3).
 
     Each test evaluates only the poses that passed all tests before it.
     """

@@ -36,7 +36,7 @@ def open_ledger(url: str) -> Iterator[Connection]:
 def translate_damage(url: str) -> Iterator[None]:
     """Converts exceptions of the block to `WorldError` if the ledger is damaged; other exceptions are re-raised.
 
-    An exception with an intact ledger is an error in the software, so the function audits the ledger first.
+    If the ledger is intact, the exception is an error in the software. So the function audits the ledger first.
     """
     try:
         yield

@@ -1,6 +1,6 @@
 """Benchmarks the web page of a dataset: times of pages and frames, rate of playback, and the cost of open tabs.
 
-The server is another process with the interpreter of this one; CPU times are those of the server.
+The server runs in another process, with the same Python interpreter. CPU times are those of the server.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class ServeBench(Model):
     table_page: dict[str, RequestCost]
     """Path of a table page -> cost of its requests."""
     first_frame: RequestCost
-    """Cost of the first colour frame of different episodes. The server must open each episode for this request."""
+    """Cost of the first colour frame of an episode. Each request is for another episode, which the server must open."""
     frames_per_s: float
     """Frames of an episode that the server supplies per second; a frame has colour, depth and ids."""
     frame_cpu_ms: float
@@ -83,7 +83,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
         root: dataset, whose run may be in progress.
         repeats: number of timed requests of each page.
         tabs: number of open farm pages.
-        seconds: duration of each of two measurements, seconds: first the idle server, then with open farm pages.
+        seconds: duration of each measurement of the CPU time, without and with open farm pages, seconds.
 
     Raises:
         WorldError: the server does not start.

@@ -16,7 +16,10 @@ _SLOW = (b"GET /live HTTP/1.1\r\nHost: localhost\r\n\r\n", b"GET / HT", b"POST /
 
 
 def hostile_requests(host: str) -> tuple[bytes, ...]:
-    """Returns malformed requests, and requests without token, from other sites, to a wrong host, or for other files."""
+    """Returns malformed requests, and requests that the server must refuse.
+
+    The latter have no valid token, come from another site, name a wrong host, or ask for files that are not public.
+    """
     texts = (
         f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nContent-Length: 17\r\n\r\nall=1&confirm=1&k",
         f"POST /operations/cancel HTTP/1.1\r\nHost: {host}\r\nOrigin: http://evil.example\r\nContent-Length: 0\r\n\r\n",

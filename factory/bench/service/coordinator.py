@@ -110,7 +110,8 @@ def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
 def _cycles_per_s(writer: Writer, meta: EpisodeMeta, workers: int) -> float:
     """Returns the cycles per second.
 
-    In each round, all workers claim a job; when all have one, they announce their bundles; then all are archived.
+    In each round, all workers claim a job; when all have one, they announce their bundles; then the bundles are
+    archived.
     """
     start_s = time.perf_counter()
     for _ in range(_ROUNDS):
@@ -136,7 +137,7 @@ def _announcing(lease: Lease) -> Callable[[Any], Any]:
 
 
 def archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], Any]:
-    """Returns a function for the ledger's writer that records an archived episode."""
+    """Returns a function that records an archived episode, for the writer of the ledger."""
     job = meta.job.model_copy(update={"index": index})
     summary = summary_of(meta.model_copy(update={"job": job, "episode_id": job.episode_id}), _SHA256, 1000)
     return lambda connection: outcomes.archive(connection, lease, summary, datetime.now(UTC))

@@ -35,7 +35,7 @@ _LOOPBACK = ("tcp/127.0.0.1:0",)
 
 
 class CoordinatorReady(Model):
-    """Message that the coordinator accepts requests."""
+    """Message with which a process reports that its coordinator accepts requests."""
 
     endpoints: tuple[str, ...]
     seconds: float
@@ -105,7 +105,7 @@ def serve_archive(
         plan: Plan of the ledger.
         catalog: Scenes of the plan.
         settings: Settings of the coordinator.
-        sample: Bundle that the validating processes check once before the coordinator opens, which starts them.
+        sample: Bundle that each validating process checks once, so the processes run before the coordinator opens.
     """
     packages = {entry.sha256: entry.path for entry in catalog.values()}
     with Validator(settings.pullers, packages=packages) as checker, ThreadPoolExecutor(settings.pullers) as pool:

@@ -1,7 +1,8 @@
-"""Measures what visitors of the web page cost a run: periods without visitors, with viewers and with attackers in turn.
+"""Measures what visitors of the web page cost a run.
 
-The run is `factory run --http` in another process, with its coordinator and its workers. CPU times are those of the
-run. The visitors use the same CPU cores, which lowers the episode rate but does not raise the CPU time per episode.
+Periods without visitors, with viewers and with attackers alternate. The run is `factory run --http` in another
+process, with its coordinator and its workers. CPU times are those of the run. The visitors use the same CPU cores,
+which lowers the episode rate but does not raise the CPU time per episode.
 """
 
 from __future__ import annotations

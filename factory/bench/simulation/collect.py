@@ -45,7 +45,7 @@ def bench_collect(
     """Runs every plan `repeats` times, in turns, and returns the pace of each.
 
     Args:
-        variants: plans by name, all of scenes in `catalog`.
+        variants: plan of each variant by name; `catalog` contains all of their scenes.
         catalog: compiled scenes.
         folder: directory for the temporary datasets.
         workers: number of simulation processes.

@@ -20,8 +20,8 @@ from factory.cli.common.options import count_option, json_option, number_option,
 def visited(**options: Any) -> None:
     """Measure what visitors of the web page cost a run.
 
-    Starts a run of PLAN with `--record states` and its web page, in a temporary directory. Measures
-    in turn periods without visitors, with viewers, and with attackers, which are hostile requests and slow clients.
+    Starts a run of PLAN with `--record states` and its web page, in a temporary directory. Periods without visitors,
+    with viewers and with attackers alternate. Attackers send hostile requests and keep slow connections open.
     """
     from factory.commands.other.bench_visited import visited
 

@@ -47,8 +47,8 @@ from factory.cli.common.places import PLACE, SHARD
     type=click.Choice(("local", "ray")),
     default="local",
     show_default=True,
-    help="Where the simulations run: on this machine, or on every node of a Ray cluster, on all CPUs of a node or "
-    "--workers of them.",
+    help="Where the simulations run. local: this machine; ray: every node of a Ray cluster, on all CPUs of a node or "
+    "at most --workers of them.",
 )
 @click.option(
     "--address", metavar="ADDRESS", help="Address of the Ray cluster. Default: RAY_ADDRESS, or a new local one."

@@ -1,4 +1,4 @@
-"""Endpoints and access control of commands that listen: loopback only without TLS, admitted hosts only with TLS."""
+"""Endpoints and access control of commands that listen: only loopback without TLS, only admitted hosts with TLS."""
 
 from __future__ import annotations
 

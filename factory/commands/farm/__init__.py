@@ -1,1 +1,1 @@
-"""Execution of the commands of several hosts."""
+"""Execution of the commands for many hosts."""

@@ -122,7 +122,7 @@ class SharedRenderer:
 
     @contextmanager
     def _borrowed(self, sha256: str = "") -> Iterator[ProcessRenderer]:
-        """Yields a renderer to one thread, if possible one that has prepared the scene."""
+        """Lends a renderer to one thread; prefers a renderer that has prepared the scene."""
         with self._returned:
             self._returned.wait_for(lambda: self._free or self._opened < self._most)
             places = sorted(range(len(self._free)), key=lambda place: sha256 not in self._free[place].prepared)

@@ -52,7 +52,7 @@ class EpisodeInfo:
 
 @runtime_checkable
 class Policy(Protocol):
-    """Policy.
+    """Policy of an evaluation, built-in or written by a user.
 
     The optional attribute `actions` is `"continuous"` (the default) or `"tokens"`. The optional attribute `needs` lists
     inputs without which the policy is refused: `"rgb"` and `"depth"` of the recorded camera, sensors of the rig such as

@@ -137,10 +137,10 @@ def require_available(name: str) -> None:
 
 
 def make_policy(name: str, limits: PolicyLimits, file: Path | None = None) -> Policy:
-    """Creates the policy of a name.
+    """Creates the policy with a name.
 
     Args:
-        name: Name, as after `--policy`.
+        name: Name, in the form of a value of `--policy`.
         limits: Time limits.
         file: File of the policy, if it is not at the path in the name.
 

@@ -96,7 +96,8 @@ class StatusWriter:
         self.is_warm = False
         """Whether the policy has returned an action; until then, the longer `load_timeout_s` applies."""
         self.is_privileged = False
-        """Whether the policy is privileged. Its calls plan paths, so they have the time limit of the simulation."""
+        """Whether the policy is privileged. The calls of such a policy plan paths, so they have the time limit of the
+        simulation."""
 
     def note(self, busy: Activity) -> None:
         """Writes the current activity."""

@@ -1,8 +1,8 @@
 """Creates specs with unfiltered start poses in the scenes of a dataset, whether or not an expert can reach the target.
 
-Archived episodes contain only starts that their tier allows and from which the expert succeeded; these specs do not
-have this selection. The start view must still meet the conditions of the instruction. Renders the first view of
-each start; runs no policies.
+Archived episodes contain only starts that their tier allows and from which the expert succeeded. These specs are not
+selected in this way. The start view must still meet the conditions of the instruction. Renders the first view of each
+start; runs no policies.
 """
 
 from __future__ import annotations

@@ -41,5 +41,5 @@ class ExportReport(Model):
 
     @property
     def finished(self) -> bool:
-        """Whether the export was not interrupted and is usable."""
+        """Whether the export has ended and is usable; some episodes may have been skipped."""
         return self.complete or bool(self.skipped)

@@ -1,4 +1,4 @@
-"""12-bit codes of metric depth, with steps that grow with the distance, as LeRobot 0.6 decodes them. Pure functions."""
+"""12-bit codes of metric depth, which LeRobot 0.6 decodes; their steps grow with the distance. Pure functions."""
 
 from __future__ import annotations
 

@@ -35,8 +35,9 @@ def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int, frames: 
     Args:
         steps: sub-instructions in their order.
         hz: recorded frames per second.
-        stride: stride of the exported frames; a row begins at the first exported frame of its span, and a step
-            without an exported frame has no row.
+        stride: stride of the exported frames. A row begins at the first exported frame that is not before the start of
+            its step, or at the last exported frame if there is none. If several rows would begin at the same frame,
+            only the last of their steps has a row.
         frames: number of exported frames.
     """
     shared = {"role": "assistant", "style": "subtask", "camera": None, "tool_calls": None}

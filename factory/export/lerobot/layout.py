@@ -1,4 +1,4 @@
-"""Layout of a LeRobot dataset: its image features and numeric columns, of the recorded camera or of a rig.
+"""Layout of a LeRobot dataset: its image features and numeric columns, for the recorded camera or for a rig.
 
 LeRobot policies use every column whose name begins with `observation` or `action`; therefore tokens and the world pose
 have other names.

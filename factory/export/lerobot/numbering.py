@@ -1,4 +1,4 @@
-"""Numbers the episodes of a LeRobot dataset, sorted by split, so splits are ranges. Pure functions.
+"""Numbers the episodes of a LeRobot dataset, sorted by split, so each split is a range. Pure functions.
 
 Tasks are the instructions, numbered in order of first occurrence.
 """

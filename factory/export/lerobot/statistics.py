@@ -23,7 +23,8 @@ _FEWEST, _MOST, _POWER = 100, 10_000, 0.75
 
 
 def sampled_frames(frames: int) -> frozenset[int]:
-    """Returns the frames that image statistics sample: about N^0.75, at least 100, evenly spaced."""
+    """Returns the frames that image statistics sample: about N^0.75, evenly spaced; at least 100, or all if there are
+    fewer; at most 10,000."""
     wanted = max(min(frames, _FEWEST), min(int(frames**_POWER), _MOST))
     return frozenset(np.round(np.linspace(0, frames - 1, wanted)).astype(int).tolist())
 

@@ -39,7 +39,7 @@ MODALITY: dict[str, dict[str, dict[str, Any]]] = {
 }
 """Content of `modality.json` for the recorded camera: the parts of state and action, and the columns of the camera and
 of the instruction. The actions are not `absolute`. Therefore, GR00T pads them after the last frame with zeros, which
-stop the robot, instead of the last value."""
+stop the robot, instead of with the last value."""
 
 
 class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):

@@ -57,7 +57,7 @@ class FileLimits(NamedTuple):
 
 
 class LeRobotExporter(LeRobotBase[LeRobotOptions]):
-    """Exporter of format `lerobot`: joins pieces to files of at most 100 MiB of rows and 200 MiB of video."""
+    """Exporter of format `lerobot`: joins pieces into files of at most 100 MiB of rows and 200 MiB of video."""
 
     name = "lerobot"
     version = 3
@@ -70,7 +70,7 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
 
 
 def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimits) -> None:
-    """Joins pieces to files within limits and writes their description to `meta/`."""
+    """Joins pieces into files within the limits and writes their description to `meta/`."""
     dataset = describe_dataset(export)
     data = _write_data(dataset, limits)
     videos = {image.key: _write_videos(dataset, image, limits) for image in dataset.layout.videos}

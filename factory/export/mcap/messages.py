@@ -146,8 +146,8 @@ def pose_of(row: Any) -> dict[str, dict[str, float]]:
 def calibration(camera: CameraConfig) -> dict[str, Any]:
     """Returns the pinhole model as foxglove.CameraCalibration, without a timestamp.
 
-    In that message, as in ROS and OpenCV, the centre of the first pixel is at (0, 0). The image centre is therefore
-    half a pixel less than half the size.
+    In that message, as in ROS and OpenCV, the centre of the first pixel is at (0, 0). The coordinates of
+    the image centre are therefore half the image size minus half a pixel.
     """
     focal = FRAME_SIZE_PX / 2 / math.tan(math.radians(camera.fov_deg) / 2)
     centre = FRAME_SIZE_PX / 2 - 0.5

@@ -30,7 +30,7 @@ class FrameLink(NamedTuple):
 
 
 def frame_of(sensor: Sensor) -> str:
-    """Returns the frame of the measurements of a sensor. For odometry, it is the pose of base_link at the start."""
+    """Returns the frame of the measurements of a sensor. For odometry, it is at the start pose of base_link."""
     if isinstance(sensor, WheelOdometry):
         return f"{sensor.name}_start"
     return f"{sensor.name}_optical_frame" if isinstance(sensor, Camera) else f"{sensor.name}_link"
@@ -54,7 +54,7 @@ def planar_row(pose: NDArray[np.float64]) -> tuple[float, ...]:
 
 
 def odometry_links(rig: Rig, world: str, start: tuple[float, ...]) -> Iterator[FrameLink]:
-    """Yields the transform from the world to the frame of each odometry: the pose of base_link at the start."""
+    """Yields the transform from the world to the frame of each odometry sensor: the start pose of base_link."""
     for sensor in rig.sensors:
         if isinstance(sensor, WheelOdometry):
             yield FrameLink(world, frame_of(sensor), start)

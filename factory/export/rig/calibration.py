@@ -57,7 +57,7 @@ def mounted(sensor: Sensor) -> MountedSensor | None:
 def quaternion_of(rotation: Floats) -> tuple[float, float, float, float]:
     """Returns the quaternion w, x, y, z, with w at least 0, of a rotation matrix (3, 3).
 
-    The largest component is computed from the diagonal, so no division is by a small number (S. W. Shepperd,
+    The largest component is computed from the diagonal, so nothing is divided by a small number (S. W. Shepperd,
     "Quaternion from rotation matrix", Journal of Guidance and Control 1(3), 1978).
     """
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()

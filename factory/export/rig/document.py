@@ -44,7 +44,7 @@ def _derived(sensor: Sensor, control_hz: int) -> dict[str, Any]:
 
 
 def rig_table(rig: Rig, control_hz: int, file: str = RIG_FILE) -> str:
-    """Returns a Markdown table of the sensors for the card; `file` is the place of `rig.json` in the export."""
+    """Returns a Markdown table of the sensors for the card; `file` is the path of `rig.json` in the export."""
     rows = [
         f"| `{one.name}` | {one.model} | {control_hz / one.stride(control_hz):g} | {_size(one)} |"
         for one in rig.sensors

@@ -1,4 +1,4 @@
-"""Writes the measurements of a rig as a folder for each sensor, a file for each image and scan; for format `paper`."""
+"""Writes the measurements of a rig for format `paper`: one folder per sensor, with one file per image or scan."""
 
 from __future__ import annotations
 

@@ -68,11 +68,12 @@ def _members(reader: SensorReader, sensor: Sensor, previous: int, t: int) -> Ite
 def array_member(array: NDArray[np.generic]) -> bytes:
     """Returns an array as gzipped `.npy`.
 
-    Also for ids, because the decoder "rgb" of webdataset converts 16-bit PNG to 8 bits and clips ids at 255.
+    Ids are stored in this form, too, because the decoder "rgb" of webdataset converts 16-bit PNG to 8 bits and clips
+    ids at 255.
     """
     return igzip.compress(encode_npy(array), _GZIP_LEVEL, mtime=0)
 
 
 def json_member(values: dict[str, Any]) -> bytes:
-    """Returns JSON values without blanks."""
+    """Returns values as compact JSON."""
     return json.dumps(values, ensure_ascii=False, separators=(",", ":")).encode()

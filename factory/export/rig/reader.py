@@ -1,6 +1,7 @@
-"""Reads the measurements of the rig of an episode for exporters: at their times, or the latest before a step.
+"""Reads the measurements of an episode's rig for exporters.
 
-Every sensor measures at step 0, so a latest measurement always exists. Encodes nothing.
+Provides all measurements of an IMU or odometry, and the latest measurement of another sensor at or before a step. Every
+sensor measures at step 0, so a latest measurement always exists. Encodes nothing.
 """
 
 from __future__ import annotations

@@ -158,7 +158,7 @@ def explain_success(material: ReportInput, row: AttemptRow) -> str:
             "these scenes block other trajectories than those of the paper."
         )
     return (
-        f"{text} Starts are drawn until the straight line to the success circle is free by "
+        f"{text} Starts are drawn until the straight line to the success circle has a clearance of "
         f"{spawn.approach_clearance_m:.2f} m (screening {spawn.screening}); the paper draws starts at random and "
         "discards failures."
     )

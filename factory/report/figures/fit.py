@@ -1,4 +1,4 @@
-"""Figure of spawn distance against trajectory length (paper Fig. 11) with the fitted line."""
+"""Figure of trajectory length against spawn distance (paper Fig. 11) with the fitted line."""
 
 from __future__ import annotations
 

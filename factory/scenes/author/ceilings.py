@@ -1,4 +1,4 @@
-"""Builds the ceilings of rooms with their lamps: plain, with beams, of boards, with panels, tiles, ducts or girders.
+"""Builds ceilings with lamps, in seven styles: plain, beams, boards, panels, tiles, ducts and girders.
 
 Adds structures to a floor plan, in world metres. Does not choose a ceiling.
 """

@@ -22,12 +22,12 @@ _SPARE = (1.0, 1.3)
 """Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at
 least 1, because rooms in rows of unsuitable depth become larger than desired."""
 _RATIO = (0.75, 1.33)
-"""Range of the random factor between width / depth of the available floor and width / depth of a building."""
+"""Range of the random factor by which width / depth of a building differs from width / depth of the available floor."""
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""The widths of the rooms in a row are changed to fill the length of the row. If this needs more than this share of the
-change that the limits of all rooms permit, the rooms do not fit."""
+"""The widths of the rooms in a row are changed to fill its length. The rooms do not fit if the sum of the changes would
+exceed this share of the sum that the limits of the rooms permit."""
 _STEPS = 24
 """Number of steps of the bisection that finds the scale of a floor."""
 
@@ -99,7 +99,7 @@ def spine_hall(hall_m: float) -> Scheme:
 
 
 def straight_hall(hall_m: float) -> Scheme:
-    """Returns a scheme with a hall along x from wall to wall, `hall_m` wide, and a row of rooms on each side."""
+    """Returns a scheme that fills the floor: a hall along x from wall to wall, and half of the rooms on each side."""
 
     def arrange(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement:
         k = len(specs) // 2 + int(rng.integers(len(specs) % 2 + 1))

@@ -13,7 +13,7 @@ from workers.geometry.grid import CONNECT_CLEARANCE_M, Grid
 _CELL_M = 0.05
 _BORDER_M = 0.5
 _LEAST_SHARE = 0.5
-"""Share of the free floor of a room that the robot must reach."""
+"""The robot must reach more than this share of the free floor of a room."""
 
 
 def find_fault(plan: FloorPlan, name: str) -> str | None:

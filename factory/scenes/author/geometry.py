@@ -210,7 +210,7 @@ def card(outline: Sequence[Vector]) -> AuthoredMesh:
 def moved(
     mesh: AuthoredMesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0
 ) -> AuthoredMesh:
-    """Rotates about x by `roll`, about y by `pitch`, about z by `yaw` (radians), then shifts by metres."""
+    """Rotates about x by `roll`, about y by `pitch`, about z by `yaw` (radians), then shifts by `shift` (metres)."""
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])

@@ -16,7 +16,7 @@ class SurfaceMaterial:
 
     Attributes:
         name: name that is unique within a scene; the prim is `M_<name>`.
-        colour: sRGB "#rrggbb"; for textured materials, the fallback of viewers without textures.
+        colour: sRGB "#rrggbb"; for textured materials, the colour in viewers that show no textures.
         texture: name of a texture recipe, or None for plain colour.
         tile_m: length of one repeat of the texture, metres.
         roughness: roughness, 0..1.

@@ -13,8 +13,8 @@ from factory.scenes.importer import Part, Surface
 
 UNKNOWN = "unknown"
 _MOST, _VISIBLE = 0.6, 0.05
-"""The main material of an object covers at least the first share of its surface. Every other listed material covers at
-least the second share."""
+"""The main material of an object covers at least the share `_MOST` of its surface. Every other listed material covers
+at least the share `_VISIBLE`."""
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _SUBSTANCES = MappingProxyType(
     {

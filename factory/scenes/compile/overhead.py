@@ -24,20 +24,20 @@ _EYE_M = 0.35
 _REACH_M = 200.0
 _DIRECTIONS = 48
 _MOST_BACKS, _STEP_M = 6, np.float32(1e-3)
-"""A ray continues behind each back face that it meets, at the second number, metres. After the first number of back
-faces, it is treated as if it had hit a front face."""
+"""A ray continues `_STEP_M` metres behind each back face that it meets. After `_MOST_BACKS` back faces, it is treated
+as if it had hit a front face."""
 _SIDES = (0.62, 0.54, 0.57)
 """Direction that divides the triangles into two sets, so the two coincident faces of a double-sided wall are in
 different sets. Rays are cast against each set, because a ray may hit either face first."""
 _OPEN_SHARE = 0.005
-"""A stage counts as open if more than this share of the upward rays hit nothing."""
+"""A stage counts as open if more than this share of the upward rays leave it."""
 
 
 def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
     """Returns the parts and a flat ceiling over their extent, visible from below; without a height, only the parts.
 
     Args:
-        parts: parts of the stage; parts without a collider are visible.
+        parts: parts of the stage; parts for collision only affect neither the extent nor the height of the floor.
         height_m: height of the ceiling above the floor, metres.
 
     Raises:
@@ -50,10 +50,10 @@ def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, .
 
 
 def with_floor(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
-    """Returns the parts and a flat floor below their extent; without a height, only the parts.
+    """Returns the parts and a flat floor over their extent; without a height, only the parts.
 
     Args:
-        parts: parts of the scene; parts without a collider are visible.
+        parts: parts of the scene; parts for collision only do not affect the extent.
         height_m: height of the floor in the scene, metres.
     """
     if height_m is None:
@@ -71,7 +71,7 @@ def _plane(path: str, shown: Floats, z: float, is_seen_from_below: bool) -> Part
 
 
 def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> bool:
-    """Returns whether rays upwards from the spawn points leave the scene, through a missing ceiling or a window.
+    """Returns whether enough upward rays from the spawn points leave the scene, through a missing ceiling or a window.
 
     Args:
         triangles: (T, 3, 3) visible triangles, world metres.

@@ -39,8 +39,8 @@ def texture_layer(part: Part, book: TextureBook) -> int:
 
 
 def _base(part: Part, book: TextureBook) -> Floats:
-    """Returns the linear colour of a part, broadcastable to (T, 3, 3). If the part has a texture layer, it is the
-    factor by which the texture is multiplied."""
+    """Returns the linear colour of a part, broadcastable to (T, 3, 3). If the part has a texture layer, the colour
+    is the factor by which the texture is multiplied."""
     surface = part.surface
     tint = np.array(surface.colour)
     if surface.texture and texture_layer(part, book) < 0:
@@ -70,7 +70,8 @@ def glow_brightness(part: Part, book: TextureBook) -> float:
 
 
 def reflectance(part: Part, book: TextureBook) -> Floats:
-    """Returns the linear luminance (T,), 0..1, of the triangles of a part in full light, with the mean of a texture."""
+    """Returns the linear luminance (T,), 0..1, of the triangles of a part in full light. A texture counts with
+    its mean colour."""
     linear = np.broadcast_to(_base(part, book), part.triangles.shape).mean(axis=1)
     if texture_layer(part, book) >= 0:
         linear = linear * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))

@@ -50,10 +50,10 @@ def load_textures(
     """Decodes the textures of a scene.
 
     Args:
-        areas: area that each texture path covers, square metres; the largest get a layer.
+        areas: area that each texture path covers, square metres; the textures with the largest areas get a layer.
         read: function that returns the bytes of a path, a texture to draw, or `None`.
         users: for each texture path, a prim that uses it and that notes name.
-        draw: function that returns the pixels of a texture to draw; a scene from a file has none.
+        draw: function that returns the pixels of a texture to draw; not needed for a scene from a file.
     """
     notes: list[str] = []
     pictures: dict[str, Layer] = {}

@@ -77,7 +77,7 @@ class SceneFiles:
         self._faults.setdefault(reason, {}).setdefault(seen, user)
 
     def require_all(self, may_skip: bool = True) -> None:
-        """Checks that all references can be used. If the user and `may_skip` permit, a missing file only adds a note.
+        """Checks that all references can be used. With `may_skip` and --skip-missing, a missing file only adds a note.
 
         Raises:
             WorldError: some references cannot be used; the message names all of them.

@@ -1,6 +1,6 @@
 """Determines unit and up axis of a 3D file: as stated in the file, or as given by the user.
 
-Pure functions. Names the sizes that each unit would give, so the user can choose.
+Pure functions. Errors list the size of the scene for each unit, so the user can choose.
 """
 
 from __future__ import annotations

@@ -41,12 +41,12 @@ def sphere(radius: float) -> Polygons:
 
 
 def cylinder(bottom: float, top: float, half_height: float) -> Polygons:
-    """Returns a cylinder along z with the radii of its ends; a cone with `top` = 0."""
+    """Returns a cylinder along z with the radii `bottom` and `top`; a cone if `top` is 0."""
     return _lathe([(bottom, -half_height), (top, half_height)])
 
 
 def capsule(bottom: float, top: float, half_height: float) -> Polygons:
-    """Returns a cylinder along z with half spheres on both ends, which `half_height` does not contain."""
+    """Returns a cylinder along z with half spheres on both ends; `half_height` is that of the cylinder alone."""
     return _lathe(_arc(bottom, -half_height, -math.pi / 2, 0.0) + _arc(top, half_height, 0.0, math.pi / 2))
 
 

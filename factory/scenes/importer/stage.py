@@ -179,7 +179,7 @@ def _unseen(scene: SceneStage) -> Iterator[str]:
 
 
 def walk_stage(scene: SceneStage, notes: list[str]) -> Iterator[PrimPlacement]:
-    """Yields every visible imageable prim once per place, in the order of the stage.
+    """Yields each placement of every visible imageable prim, in the order of the stage.
 
     Args:
         scene: opened stage.

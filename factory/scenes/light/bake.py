@@ -30,8 +30,8 @@ _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
 """Relative texel density of charts inside solid objects, which get a single texel, and of charts that no lamp
 reaches."""
 _FLOOR_M, _LEVEL = 0.1, 0.9
-"""A chart gets contact shade if it is within this distance of the floor, metres, and the vertical component of its
-normal is above the second number. The second condition does not apply to curved charts."""
+"""A chart gets contact shade if it is within `_FLOOR_M` metres of the floor, and the vertical component of its normal
+is above `_LEVEL`. The second condition does not apply to curved charts."""
 _MIDDLE_GREY = 0.5
 """Reflectance of all surfaces if the caller does not give it."""
 

@@ -18,7 +18,7 @@ from schemas.support.vectors import cross
 _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
 _PLANE_STEP_M = 0.02
-_PLANE_SHIFT = 0.37  # keeps walls and floors, often at round coordinates, off the boundary of two steps
+_PLANE_SHIFT = 0.37  # so walls and floors at round coordinates are not on the boundary of two steps
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def find_charts(triangles: Floats, groups: Ints) -> Charts:
 
 
 def number_rows(rows: Ints) -> Ints:
-    """Returns (N,) for each row of (N, K) its index in the sorted list of distinct rows."""
+    """Returns (N,) the index of each row of (N, K) in the sorted list of distinct rows."""
     order = np.lexsort(rows.T[::-1])
     is_new = np.any(rows[order[1:]] != rows[order[:-1]], axis=1)
     numbers = np.empty(len(rows), np.int64)

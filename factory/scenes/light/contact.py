@@ -40,7 +40,7 @@ def contact_shade(triangles: Floats, floor_m: float, points: Floats, normals: Fl
 
 
 def _are_near(points: Floats, feet: Floats) -> Bools:
-    """Returns whether points (N, 2) may be within `_REACH_M` of feet (K, 2).
+    """Returns whether each of the points (N, 2) may be within `_REACH_M` of one of the feet (K, 2).
 
     Tests whether a foot is in the same or an adjacent square of a grid with a pitch of `_REACH_M`.
     """

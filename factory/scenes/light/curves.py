@@ -99,7 +99,7 @@ def _angles(triangles: Floats) -> Floats:
 
 
 def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
-    """Determines the normals at the corners of each chart: that of the vertex there, or else the value of a linear fit.
+    """Determines the normal at each corner of each chart: that of the vertex there, or else the value of a linear fit.
 
     Args:
         charts: flat charts.
@@ -134,7 +134,7 @@ def _fit(normals: Floats, chart: Ints, share: Floats, count: int) -> Floats:
 
 
 def _no_steeper(normals: Floats, flat: Floats, cosine: Floats) -> Floats:
-    """Limits the angle between normals (C, 4, 3) and that of the plane (C, 3) to an angle of given `cosine` (C,)."""
+    """Limits the angle of normals (C, 4, 3) to plane normals `flat` (C, 3); `cosine` (C,) is that of the limit."""
     rise = np.maximum(np.einsum("ckn,cn->ck", normals, flat), 1e-3)[..., None]
     lean = normals / rise - flat[:, None]
     lean -= np.einsum("ckn,cn->ck", lean, flat)[..., None] * flat[:, None]

@@ -36,7 +36,7 @@ _OFF_SHARE = 0.03
 
 
 def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
-    """Returns the light groups of a scene; a scene without light map has none.
+    """Returns the light groups of a scene; a scene without a light map has none.
 
     Args:
         scene: compiled scene.

@@ -55,7 +55,7 @@ def fill_hidden(values: Floats, known: Bools, owner: Ints) -> Floats:
     missing = np.nonzero(~have & (owner >= 0))
     means, is_found = _means(values, known, owner)
     filled[..., missing[0], missing[1]] = means[..., owner[missing]]
-    near = is_found[owner[missing]]  # a chart without a known texel keeps its mean
+    near = is_found[owner[missing]]  # a chart without a known texel keeps the value of `_means`
     missing = missing[0][near], missing[1][near]
     for _ in range(_FILL_ROUNDS):
         if not len(missing[0]):

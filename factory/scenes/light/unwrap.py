@@ -63,7 +63,7 @@ def unwrap(
         if size.max() == 1:
             raise TooManyPieces(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
         if (size == floor).all():
-            floor = np.ones_like(floor)  # only now, because curved surfaces with one texel across look faceted
+            floor = np.ones_like(floor)  # the last resort: curved surfaces with one texel across look faceted
         scale *= 0.9
     chart = charts.of_triangle
     texel = place[chart][:, None] + 0.5 + charts.share * (size[chart] - 1)[:, None]

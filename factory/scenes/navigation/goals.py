@@ -45,7 +45,7 @@ class Goals:
         )
 
     def chosen(self, rows: Rows) -> Goals:
-        """Returns the goals of some targets, one for each row."""
+        """Returns the goals at the given indices, one for each index."""
         vertices = None if self.vertices is None else self.vertices[:, rows]
         return Goals(self.centres[rows], self.reaches[rows], self.extents[rows], vertices)
 
@@ -55,7 +55,7 @@ class Goals:
         return ring(directions, np.asarray(distance_m), self.centres[:, None], self.extents[:, None], vertices)
 
     def approach(self, starts: Floats, distance_m: float) -> Floats:
-        """Returns the points (T, 2) at which the line from one start to each target comes within a distance."""
+        """Returns the points (T, 2) at which the line from each start to its target comes within a distance of it."""
         return approach(starts, np.asarray(distance_m), self.centres, self.vertices)
 
     def distances(self, points: Floats) -> Floats:

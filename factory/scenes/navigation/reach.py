@@ -24,8 +24,8 @@ ARRIVAL_RADIUS_M = 0.97
 SEE_RANGE_M = (1.5, 11.0)
 """Range of distances from a target; a spawn point outside this range does not count as seeing the target, metres."""
 MIN_STARTS = 3
-"""A target is reachable from the tier near or mid only with this number of valid lattice poses, so random sampling
-finds one."""
+"""A target counts as reachable from the tier near or mid only if it has at least this number of valid lattice poses,
+so random sampling finds one."""
 _ARRIVAL_SHARES = (1.0, 0.85, 0.7, 0.5, 0.3)
 _BEARINGS, _HEADINGS, _RINGS = 48, 16, 6
 
@@ -42,12 +42,12 @@ class Terrain:
     """(K, 2, 2) lower and upper corners x, y of the candidates' boxes, metres."""
 
     def fits(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike, margin_m: float) -> Bools:
-        """Returns for base_link poses whether the footprint is free and on the connected floor."""
+        """Returns whether, at each base_link pose, the footprint is free and the body centre on the connected floor."""
         on_floor = self.grid.values_at(self.floor, body_centre(x, y, yaw), False)
         return np.asarray(on_floor.astype(bool) & self.grid.are_poses_free(x, y, yaw, margin_m))
 
     def can_start(self, points: Floats, yaw: ArrayLike) -> Bools:
-        """Returns for base_link points (N, 2) whether the robot fits there with the spawn margin, outside all boxes."""
+        """Returns whether each base_link point (N, 2) is outside all boxes and the robot fits with the spawn margin."""
         fits = self.fits(points[:, 0], points[:, 1], yaw, self.config.margin_m)
         return np.asarray(fits & ~are_within(points, self.taken))
 
@@ -55,7 +55,7 @@ class Terrain:
 def tiers_of(
     terrain: Terrain, targets: Sequence[Target], success: SuccessMeasure, spawns: Floats
 ) -> list[tuple[tuple[Tier, ...], tuple[Tier, ...]] | None]:
-    """Returns for each target the tiers from which it is reachable by straight driving, and by any path; `None` for a
+    """Returns the tiers from which each target is reachable: by straight driving, and by any path. Returns `None` for a
     target that is not reachable.
 
     Args:
@@ -140,7 +140,7 @@ def _ring(
 
 
 def _can_drive(terrain: Terrain, starts: Floats, goals: Goals) -> Bools:
-    """Returns for starts (N, 2) whether the straight line to the success region of N targets is free."""
+    """Returns whether the straight line from each start (N, 2) to the success region of its target is free."""
     ends = goals.approach(starts, ARRIVAL_RADIUS_M)
     return terrain.grid.are_lines_free(starts, ends, terrain.config.approach_clearance_m)
 

@@ -126,7 +126,7 @@ def _tiles(eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_pl
 
 
 def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> RenderedFrame:
-    """Renders views from all around, and returns the one with most pixels of the target; prefers the open side."""
+    """Renders views from all around, and returns the one with the most pixels of the target; prefers the open side."""
     looks: list[RenderedFrame] = []
     for turn in _TURNS_DEG:
         view = _view_in_place(scene, target, facing(scene, target) + math.radians(turn))

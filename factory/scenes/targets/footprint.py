@@ -22,8 +22,8 @@ Vertex = tuple[int, int]
 def footprint_of(triangles: Floats) -> Footprint:
     """Returns the vertices of the convex hull in the plane, counter-clockwise, metres.
 
-    Of more than 64 vertices, those that contribute the least area are removed. This makes the hull of a circle with a
-    radius of 1 m at most 1.2 mm smaller.
+    If there are more than 64 vertices, those that contribute the least area are removed. This makes the hull of a
+    circle with a radius of 1 m at most 1.2 mm smaller.
 
     Args:
         triangles: (T, 3, 3) corners of the object, world metres.

@@ -18,7 +18,7 @@ from schemas.errors import FactoryError
 _NICENESS = 10
 """The process gets a tenth of the CPU time of a process with the default priority."""
 _PAUSE_S = 0.5
-"""Least time between two messages of progress, seconds."""
+"""Minimum time between two messages of progress, seconds."""
 
 
 def main(name: str) -> None:

@@ -52,7 +52,7 @@ class TrackView:
     points: str
     """Points of the polyline."""
     poses: str
-    """`x,-y,degrees` of each step, separated by blanks, for the page's script."""
+    """`x,-y,degrees` of each step, separated by spaces, for the page's script."""
     start: tuple[float, float]
     goal: tuple[float, float]
     outline: str

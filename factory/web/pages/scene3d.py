@@ -59,7 +59,7 @@ def mesh(request: Request) -> Response:
 
 
 def _poses(episode: Episode) -> str:
-    """Returns `x,y,yaw` of each step in metres and radians, separated by blanks."""
+    """Returns `x,y,yaw` of each step in metres and radians, separated by spaces."""
     rows = np.column_stack([episode.poses[:, :2], yaw_of(episode.poses)])
     return " ".join(f"{x:.3f},{y:.3f},{yaw:.4f}" for x, y, yaw in rows.tolist())
 

@@ -1,4 +1,4 @@
-// Plays the frames of an episode: colour, depth, ids, the robot on the map and the cursors of the plots move together.
+// Plays an episode: updates colour, depth, ids, the robot on the map and the cursors of the plots together.
 const player = document.getElementById("player");
 const images = [...player.querySelectorAll("img[data-kind]")];
 const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)];

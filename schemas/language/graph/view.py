@@ -106,7 +106,7 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
 
 
 def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:
-    """Returns (N,) whether at least `_TALL_M` or half of an object's height is within the vertical range of the image.
+    """Returns whether at least `_TALL_M` or half the height of each object is within the vertical range of the image.
 
     Args:
         graph: scene graph.
@@ -120,7 +120,7 @@ def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfi
 
 
 def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Floats) -> NDArray[np.uint8]:
-    """Returns (K, 5) the highest value of the grid on each line of sight before the line enters the bounding rectangle.
+    """Returns the highest values (K, 5) of the grid on lines of sight before they enter the bounding rectangles.
 
     Args:
         graph: scene graph.

@@ -27,7 +27,7 @@ of its footprint instead of at the edge."""
 
 
 class FrameImages(Protocol):
-    """Recorded images of an episode, such as `Episode` and `BundleReader`."""
+    """Source of the recorded images of an episode, such as `Episode` or `BundleReader`."""
 
     def ids(self, t: int) -> NDArray[np.uint16]:
         """Returns the (640, 640) instance ids at frame t."""

@@ -290,7 +290,7 @@ class RouteSearch:
         return None
 
     def _rivals(self, start: int, end: int) -> Bools:
-        """Returns (N,) objects that may be seen from the step, or are near it."""
+        """Returns which of the N objects may be seen from the step, or are near it."""
         frames = np.unique(np.append(np.arange(start, end, _EVERY * 5), end - 1))
         views = [self._view(t) for t in {start, (start + end) // 2, end - 1}]
         seen = [view.possible & (view.distance <= limit.AMBIGUOUS_M + 1.0) for view in views]

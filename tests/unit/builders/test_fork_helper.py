@@ -98,13 +98,15 @@ def expect_a_module(begins: Callable[[], None], folder: Path, variables: dict[st
         {"PYTHON_VERSION": "3.11.2"},
     ],
 )
-def test_a_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(tmp_path, begins, variables):
+def test_a_forked_module_has_its_own_arguments_variables_folder_session_descriptors_and_status(
+    tmp_path, begins, variables
+):
     in_fresh_process(expect_a_module, begins, tmp_path, variables, True)
 
 
 @pytest.mark.parametrize("begins", [begin, begin_with_threads])
 @pytest.mark.parametrize(("name", "value"), [("PYTHONHASHSEED", "1"), ("LD_LIBRARY_PATH", "/")])
-def test_a_module_with_a_variable_that_is_read_at_the_start_gets_a_new_interpreter(tmp_path, begins, name, value):
+def test_a_variable_that_is_read_only_at_process_start_prevents_a_fork(tmp_path, begins, name, value):
     variables = {name: value, "PYTHONPATH": str(ROOT)}
     in_fresh_process(expect_a_module, begins, tmp_path, variables, False)
 

@@ -48,7 +48,7 @@ def test_a_router_is_reassigned_when_its_gateway_is_silent() -> None:
     assert timed_dispatch.take("new", "a") == [1]
 
 
-def test_the_number_of_gateways_is_bounded_and_an_honest_one_is_served() -> None:
+def test_the_number_of_gateways_is_bounded_and_an_honest_gateway_is_served() -> None:
     timed_dispatch = TimedDispatch()
     for number in range(3000):
         timed_dispatch.take(f"hostile-{number}", f"{number:x}")
@@ -60,7 +60,7 @@ def test_the_number_of_gateways_is_bounded_and_an_honest_one_is_served() -> None
     assert timed_dispatch.here == [2]
 
 
-def test_a_gateway_that_names_many_routers_keeps_the_last_one() -> None:
+def test_a_gateway_that_names_many_routers_is_assigned_only_the_last_router() -> None:
     timed_dispatch = TimedDispatch()
     for number in range(100):
         timed_dispatch.take("hostile", f"{number:x}")

@@ -60,7 +60,7 @@ def test_importing_the_public_package_loads_nothing_of_the_product() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("form", ["package", "module"])
-def test_a_foreign_package_that_comes_first_is_named(tmp_path: Path, name: str, form: str) -> None:
+def test_a_foreign_package_that_comes_first_on_the_import_path_is_named(tmp_path: Path, name: str, form: str) -> None:
     foreign = tmp_path / name if form == "package" else tmp_path / f"{name}.py"
     if form == "package":
         foreign.mkdir()

@@ -114,7 +114,7 @@ def test_job_is_inside_the_content_digest() -> None:
     assert parts_for().with_job(attempt=2).sealed().content_digest != parts_for().sealed().content_digest
 
 
-def test_members_are_the_papers_tree() -> None:
+def test_members_have_the_names_of_the_papers_tree() -> None:
     names = tuple(members_of(bundle_bytes()))
     assert names == member_names(12)
     assert names[:3] == ("rgb_front/000000.png", "depth_front/000000.npy.zst", "seg_front/000000.png")
@@ -146,7 +146,7 @@ def test_members_in_another_order_are_refused() -> None:
     assert "not in their fixed order" in refused(pack(dict(reversed(members.items()))))
 
 
-def test_newer_format_is_refused_by_number() -> None:
+def test_the_error_of_a_newer_format_names_its_number() -> None:
     text = refused(edited(lambda meta: meta.update(format=BUNDLE_FORMAT + 1, novelty=True)))
     assert f"bundle format {BUNDLE_FORMAT + 1}, this software reads up to {BUNDLE_FORMAT}: upgrade" in text
 
@@ -163,7 +163,7 @@ def test_newer_format_is_refused_by_number() -> None:
         (lambda meta: meta.update(content_digest="x"), "meta.json: content_digest"),
     ],
 )
-def test_metadata_that_breaks_its_model_is_refused(edit: Callable[[dict[str, object]], object], text: str) -> None:
+def test_metadata_that_violates_its_model_is_refused(edit: Callable[[dict[str, object]], object], text: str) -> None:
     assert text in refused(edited(edit))
 
 
@@ -186,7 +186,7 @@ def test_array_outside_its_spec_is_refused(name: str, array: np.ndarray, text: s
     assert text in refused(pack(members_of(bundle_bytes()) | {f"{name}.npy": encode_npy(array)}))
 
 
-def test_damaged_frame_is_refused_when_it_is_read_and_no_other() -> None:
+def test_a_damaged_frame_is_refused_when_it_is_read_and_other_frames_are_readable() -> None:
     members = members_of(bundle_bytes())
     members["rgb_front/000003.png"] = members["rgb_front/000003.png"][:-1]
     bundle = BundleReader(io.BytesIO(pack(members)))

@@ -86,7 +86,7 @@ def test_a_black_with_a_trace_of_a_hue_is_neither_black_nor_named_by_the_hue() -
     assert dominant_name([(30 / 255, 35 / 255, 48 / 255)] * 9) == "unknown"
 
 
-def test_a_colour_needs_half_of_the_samples() -> None:
+def test_a_colour_name_needs_at_least_half_of_the_samples() -> None:
     red, blue, green = (1.0, 0, 0), (0, 0, 1.0), (0, 0.5, 0)
     assert dominant_name([red, red, blue, green]) == "red"
     assert dominant_name([red, red, blue, green, blue]) == "unknown"
@@ -104,7 +104,7 @@ def test_a_blue_chair_on_a_black_base_is_blue() -> None:
     assert dominant_name([blue] * 45 + [black] * 55) == "unknown"
 
 
-def test_black_and_gray_compete_with_each_other() -> None:
+def test_an_object_with_similar_shares_of_black_and_gray_has_no_colour_name() -> None:
     black, gray = (0.1, 0.1, 0.1), (0.5, 0.5, 0.5)
     assert dominant_name([gray] * 58 + [black] * 42) == "unknown"
     assert dominant_name([gray] * 70 + [black] * 30) == "gray"
@@ -118,10 +118,10 @@ def test_an_object_without_samples_has_no_colour() -> None:
     assert dominant_name(np.zeros((0, 3))) == "unknown"
 
 
-def test_linear_light_and_srgb_are_inverse() -> None:
+def test_the_conversions_between_linear_light_and_srgb_are_inverse() -> None:
     values = np.linspace(0, 1, 11)
     assert srgb_of(linear_of(values)) == pytest.approx(values)
 
 
-def test_white_is_lightness_hundred_without_chroma() -> None:
+def test_white_has_lightness_100_and_no_chroma() -> None:
     assert lab_of((1.0, 1.0, 1.0)) == pytest.approx([100, 0, 0], abs=0.01)

@@ -34,7 +34,7 @@ def test_jobs_and_evaluation_specs_define_no_field_of_the_spec_again(model: type
     assert not FIELDS & model.__annotations__.keys()
 
 
-def test_the_spec_of_a_job_is_its_eight_fields_and_changes_are_validated() -> None:
+def test_the_spec_of_a_job_lacks_the_other_fields_of_the_job_and_changes_are_validated() -> None:
     job = job_for(split=Split.VAL_ID)
     spec = EpisodeSpec.of(job, instruction="")
     assert type(spec) is EpisodeSpec

@@ -86,7 +86,7 @@ def test_two_objects_with_overlapping_success_regions_could_not_be_the_target():
     assert _found(LEFT, close) == [3, 7]
 
 
-def test_a_start_where_too_few_objects_could_be_the_target_is_found_without_an_image():
+def test_too_few_objects_that_could_be_the_target_are_detected_without_an_image():
     assert may_exchange(_job(), (LEFT, RIGHT), START, 2)
     assert not may_exchange(_job(), (LEFT, RIGHT), START, 3)
     assert not may_exchange(_job(), (LEFT, _target(7, 2.8, 15)), START, 2)

@@ -91,7 +91,7 @@ def test_a_scene_without_pixels_needs_no_texture_and_cannot_be_encoded() -> None
     assert decode_geometry(io.BytesIO(encode_scene(layout_scene("home_00001")))).textures == ()
 
 
-def test_a_complete_package_is_decoded_alone_and_split_into_the_same_bytes() -> None:
+def test_a_complete_package_is_decoded_without_other_files_and_split_into_the_same_bytes() -> None:
     complete = LAYOUT.complete()
     assert_equal(decode_scene(io.BytesIO(complete)), layout_scene("home_00001"))
     parts = split_package(io.BytesIO(complete))

@@ -23,7 +23,7 @@ BY_CENTROID = Goal((0.0, 0.0), 1.0)
     ("point", "distance"),
     [((3.0, 0.0), 1.5), ((0.0, -2.0), 1.5), ((2.5, 1.5), math.sqrt(2)), ((1.5, 0.2), 0.0), ((0.3, -0.1), 0.0)],
 )
-def test_distance_to_a_footprint_is_that_to_its_nearest_side_corner_or_zero_inside(
+def test_distance_to_a_footprint_is_that_to_its_nearest_side_or_corner_and_zero_inside(
     point: tuple[float, float], distance: float
 ) -> None:
     assert BY_SURFACE.distance(*point) == pytest.approx(distance)
@@ -31,7 +31,9 @@ def test_distance_to_a_footprint_is_that_to_its_nearest_side_corner_or_zero_insi
 
 
 @pytest.mark.parametrize("footprint", [((1.0, 2.0),), ((0.0, 0.0), (2.0, 0.0))])
-def test_a_footprint_without_area_has_distances_beyond_its_ends_too(footprint: tuple[tuple[float, float], ...]) -> None:
+def test_the_distance_beyond_the_end_of_a_footprint_without_area_is_that_to_its_end(
+    footprint: tuple[tuple[float, float], ...],
+) -> None:
     x, y = footprint[-1]
     assert footprint_distances([(x + 3.0, y), (x, y)], footprint).tolist() == [3.0, 0.0]
 

@@ -40,7 +40,7 @@ _ON_TABLES = ("SM_Crockery", "SM_FruitBowl", "SM_Bouquet", "SM_Candles", "SM_Tra
 _ON_DRESSERS = ("SM_Portrait", "SM_BookPile", "SM_Flasks", "SM_Bouquet", "SM_Candles")
 """Small things on low cabinets, tables and chests of drawers."""
 _LEAST_TOP_M2 = 0.08
-"""A part of a piece of furniture counts as its top only if its bounding rectangle in plan is larger than this, square
+"""A part of a piece of furniture counts as the top only if its bounding rectangle in plan is larger than this, square
 metres."""
 _UNITS = ("SM_SinkUnit", "SM_Dishwasher", "SM_KitchenUnit", "SM_Oven", "SM_KitchenUnit")
 

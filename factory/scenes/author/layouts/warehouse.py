@@ -24,11 +24,12 @@ _KICKS = ("#7d868d", "#5f7d8c", "#8a7d5c", "#7a8a6a", "#8c6a5c", "#55606a")
 _ROW_DEPTH_M = (3.2, 4.2)
 """Range of the depth of the rooms beside the hall, metres."""
 _LEAST_PART_M = 2.6
-"""Least length of the part of the hall beside the row of rooms, metres. If less remains, the row fills its side."""
+"""Least length of the part of the hall beside the row of rooms, metres. If less remains, the row is as long as the
+hall."""
 
 
 class _Size(NamedTuple):
-    """Ranges of the floor of the main part of the hall, square metres, and of the height of the walls, metres."""
+    """Ranges of the floor area of the main part of the hall, square metres, and of the height of the walls, metres."""
 
     hall_m2: tuple[float, float]
     height_m: tuple[float, float]

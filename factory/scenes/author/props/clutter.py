@@ -199,7 +199,7 @@ def protection_post(_variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def workbench(_variant: int, _rng: Generator) -> list[PropPiece]:
-    """A packing bench with rolls and a box; the name `bench` matches no category rule."""
+    """A packing bench with rolls and a box; its name, `SM_Workbench`, matches no category rule."""
     top = block((-0.9, -0.4, 0.86), (0.9, 0.4, 0.92))
     legs = [block((x - 0.04, y - 0.04, 0.0), (x + 0.04, y + 0.04, 0.86)) for x in (-0.82, 0.82) for y in (-0.33, 0.33)]
     low = block((-0.85, -0.3, 0.25), (0.85, 0.35, 0.28))

@@ -91,7 +91,7 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[PropPiece]:
         return []
     base = [
         PropPiece(ROUGH, standing_block((x - 0.58, -0.38, z), (x + 0.58, 0.38, z + 0.14)))
-    ]  # without the gaps of a pallet, which its front hides
+    ]  # a solid block, because the front bar of a pallet hides the gap behind it
     top, height = z + 0.14, float(rng.uniform(0.55, 0.85)) * (room - 0.2)
     if kind < 0.68:
         return [*base, *carton_stack(x, 0.0, top, (1.08, 0.72, height), rng)]

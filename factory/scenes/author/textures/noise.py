@@ -16,7 +16,7 @@ Pixels = npt.NDArray[np.uint8]
 
 
 def clouds(rng: Generator, falloff: float, stretch: float = 1.0) -> Floats:
-    """Returns seamless noise with zero mean and unit deviation; `stretch` > 1 elongates it along u."""
+    """Returns seamless noise with zero mean and unit standard deviation; `stretch` > 1 elongates it along u."""
     white = np.fft.rfft2(rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE)))
     down = np.fft.fftfreq(TEXTURE_SIZE)[:, None] * TEXTURE_SIZE
     across = np.fft.rfftfreq(TEXTURE_SIZE)[None] * TEXTURE_SIZE * stretch

@@ -198,7 +198,7 @@ def _tote(rng: Generator) -> Pixels:
 
 
 def _door(base: str) -> Callable[[Generator], Pixels]:
-    """A door leaf seen upright: veneer, frame grooves, a glass slit and a kick plate."""
+    """An upright door leaf: veneer, frame grooves, a glass slit and a kick plate."""
 
     def draw(rng: Generator) -> Pixels:
         rows, columns = grid()

@@ -1,6 +1,6 @@
 """Checks the files that an MJCF model names, with those of its includes, before MuJoCo opens them.
 
-Finds names as MuJoCo does: relative to the main file, in the folders of `<compiler>`.
+Finds the files where MuJoCo does: relative to the main file, in the folders of `<compiler>`.
 """
 
 from __future__ import annotations

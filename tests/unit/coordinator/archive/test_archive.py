@@ -70,7 +70,7 @@ def test_foreign_files_are_distinguished_from_episodes(tmp_path: Path) -> None:
         ("EP_000001.zip", None),
     ],
 )
-def test_only_the_canonical_name_is_an_episode(name: str, index: int | None) -> None:
+def test_only_a_file_with_a_canonical_name_is_an_episode(name: str, index: int | None) -> None:
     assert index_of_file(name) == index
 
 

@@ -193,7 +193,7 @@ def test_the_planner_may_start_at_poses_excluded_for_straight_experts():
     assert pools == [(), (target,)]
 
 
-def test_blind_straight_experts_start_where_the_planner_may() -> None:
+def test_blind_straight_experts_may_start_at_poses_excluded_for_other_straight_experts() -> None:
     target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
     entry = make_entry("hospital", [target])
     pools = {}

@@ -63,7 +63,7 @@ def test_a_small_room_has_far_starts_at_the_distance_that_the_plan_permits(
         assert "cell train_id / far (2 episodes) has no target" in line
 
 
-def test_the_default_distance_reads_no_package() -> None:
+def test_a_plan_with_the_default_distance_reads_no_package() -> None:
     """A plan with many scenes would otherwise read the package of every scene."""
     absent = far_plan(5.0, Screening.NONE, ExpertName.PROPORTIONAL, SuccessMeasure.CENTROID)
     crate = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category="crate")

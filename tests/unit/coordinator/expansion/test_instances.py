@@ -49,7 +49,7 @@ def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJo
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(2, 12), st.integers(2, 12), st.integers(0, 5))
-def test_training_and_evaluation_share_no_instance_also_after_redraws(chairs: int, bins: int, seed: int) -> None:
+def test_training_and_evaluation_share_no_instance_even_after_redraws(chairs: int, bins: int, seed: int) -> None:
     plan, catalog = office_plan(60, seed=seed), hospital_of(chairs, bins)
     jobs = with_redraws(plan, catalog, 4)
     assert not named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION)
@@ -63,7 +63,7 @@ def test_instances_are_shared_without_the_separation_option() -> None:
     assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION)
 
 
-def test_each_category_gives_training_its_share_of_instances() -> None:
+def test_training_gets_its_share_of_the_instances_of_each_category() -> None:
     plan, catalog = office_plan(), hospital_of(39, 12)
     sides = scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides
     count = Counter((name.rsplit("_", 1)[0], side) for name, side in sides.items())
@@ -83,7 +83,7 @@ def test_a_single_instance_is_shared_and_reported() -> None:
     assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION) == {"trash_can_000"}
 
 
-def test_instances_with_starts_in_most_tiers_are_given_to_both_sides() -> None:
+def test_instances_with_starts_in_every_tier_are_divided_between_both_sides() -> None:
     targets = [make_target("chair", n, n + 1, tiers=[Tier.NEAR]) for n in range(6)]
     targets += [make_target("chair", n, n + 1) for n in (6, 7)]
     entry = make_entry("hospital", targets)
@@ -106,7 +106,7 @@ def test_the_only_target_of_a_tier_is_shared_so_that_no_cell_is_empty() -> None:
     assert scene_cells(plan, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.FAR)
 
 
-def test_sides_of_instances_depend_only_on_plan_and_scene_and_need_starts_for_the_expert() -> None:
+def test_the_sides_of_instances_depend_only_on_plan_and_scene_and_exclude_instances_without_starts() -> None:
     catalog = hospital_of(9, 9)
     first, second = (scene_cells(office_plan(), office_plan().scenes[0], catalog["hospital"]).sides for _ in range(2))
     assert first == second

@@ -72,7 +72,7 @@ def test_a_layout_is_expanded_from_its_own_package_to_the_same_jobs_as_in_the_wh
     assert [job.index for job in expand(plan, catalog)] == list(range(1, plan.episodes + 1))
 
 
-def test_categories_of_a_family_are_even_over_all_layouts() -> None:
+def test_category_counts_of_a_family_differ_by_at_most_one_over_all_layouts() -> None:
     plan = family_plan()
     jobs = [job.episode for job in expand(plan, make_catalog(plan)) if job.episode.scene.startswith("home")]
     for is_held_out in (False, True):
@@ -106,7 +106,7 @@ def test_a_layout_without_a_category_of_its_quota_is_refused_only_if_the_quota_i
     assert len(expand(loose, lacking)) == loose.episodes
 
 
-def test_redraws_and_jobs_of_a_layout_stay_in_it() -> None:
+def test_redraws_and_jobs_of_a_layout_keep_the_layout() -> None:
     plan = family_plan()
     catalog = make_catalog(plan)
     planned = expand(plan, catalog)[0]
@@ -135,7 +135,7 @@ def test_a_reduced_plan_has_fewer_layouts_and_is_valid(episodes: int) -> None:
     assert sum(scene.episodes for scene in part.parts) == episodes
 
 
-def test_a_numbered_scene_is_one_layout_of_its_family_with_that_seed() -> None:
+def test_a_numbered_scene_has_its_number_as_seed_and_the_categories_of_its_family() -> None:
     scene = ScenePlan.model_validate({"name": "home_00017", "episodes": 4})
     assert scene.seed == 17
     assert scene.categories == ScenePlan(name="home", episodes=4).categories

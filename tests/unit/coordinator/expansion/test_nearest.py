@@ -65,7 +65,7 @@ def test_a_scene_without_held_out_categories_drops_their_split_and_keeps_its_tie
     assert "held_out without fire_extinguisher, whiteboard" in found.changes[0]
 
 
-def test_the_nearest_plan_drops_the_tier_or_split_that_moves_fewer_episodes() -> None:
+def test_the_nearest_plan_drops_the_tier_or_the_split_whichever_moves_fewer_episodes() -> None:
     found = find_nearest(plan_of(), hospital(held_out=NEAR_AND_MID))
     assert found.plan is not None
     (scene,) = found.plan.scenes

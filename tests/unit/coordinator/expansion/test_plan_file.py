@@ -113,7 +113,7 @@ def test_an_unknown_split_is_named(tmp_path):
         load_plan(str(path))
 
 
-def test_an_unknown_uniqueness_or_balance_is_refused_with_the_valid_values(tmp_path):
+def test_the_error_of_an_unknown_uniqueness_or_balance_lists_the_valid_values(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text('balance = "even"\n[instructions]\nunique = "always"\n[[scenes]]\nname = "office"\nepisodes = 2\n')
     with pytest.raises(InvalidPlan) as caught:
@@ -130,7 +130,7 @@ def test_invalid_toml_is_reported(tmp_path):
         load_plan(str(path))
 
 
-def test_a_scene_file_given_as_a_plan_is_refused_with_the_expected_format(tmp_path):
+def test_the_error_of_a_scene_file_given_as_a_plan_names_the_expected_format(tmp_path):
     path = tmp_path / "shop.glb"
     path.write_bytes(b"glTF\x02\0\0\0\xff\xfe")
     with pytest.raises(InvalidPlan, match="is not a plan; plans are TOML files"):
@@ -148,7 +148,7 @@ def test_shrinking_keeps_the_proportions_of_the_scenes():
     }
 
 
-def test_shrinking_to_an_unknown_scene_names_the_scenes_of_the_plan():
+def test_the_error_of_shrinking_to_an_unknown_scene_names_the_scenes_of_the_plan():
     with pytest.raises(UsageError, match="office, hospital"):
         shrink(BUILTIN_PLANS["demo"], scenes=["garage"])
 
@@ -226,7 +226,7 @@ def test_shares_over_all_scenes_include_scenes_with_separate_shares() -> None:
     assert sum(map(mixed.split_share, Split)) == pytest.approx(1)
 
 
-def test_a_plan_file_without_a_success_measure_has_the_surface_and_a_plan_of_an_older_dataset_the_centroid(tmp_path):
+def test_the_success_measure_defaults_to_surface_in_a_plan_file_and_to_centroid_in_an_older_dataset(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     assert load_plan(str(path)).task.success is SuccessMeasure.SURFACE
@@ -238,7 +238,7 @@ def test_a_plan_file_without_a_success_measure_has_the_surface_and_a_plan_of_an_
     assert Plan.model_validate_json(older.model_dump_json()) == older
 
 
-def test_the_plan_paper_measures_to_the_centroid_and_the_plan_balanced_to_the_surface_with_requirements():
+def test_the_plan_balanced_unlike_the_plan_paper_measures_to_the_surface_and_restricts_demonstrations():
     paper, balanced = load_plan("paper"), load_plan("balanced")
     assert paper.task.success is SuccessMeasure.CENTROID
     assert "demonstration" not in paper.model_dump_json()
@@ -264,7 +264,7 @@ def test_wrong_measures_and_limits_are_named_with_their_key(tmp_path, text, said
     assert said in str(caught.value)
 
 
-def test_the_former_key_usd_is_read_as_file_with_the_same_digest(tmp_path):
+def test_the_former_key_usd_is_read_as_the_key_file(tmp_path):
     text = 'splits = {train_id = 1.0}\n[[scenes]]\nname = "lab"\n%s = "lab.glb"\nseen = ["chair"]\nepisodes = 1\n'
     plans = []
     for key in ("usd", "file"):
@@ -278,7 +278,7 @@ def test_the_former_key_usd_is_read_as_file_with_the_same_digest(tmp_path):
     assert load_plan(str(tmp_path / "mine.toml")) == plans[0]
 
 
-def test_units_and_folders_of_models_are_relative_to_the_plan_and_part_of_its_digest(tmp_path):
+def test_folders_of_models_are_relative_to_the_plan_and_its_digest_covers_units_and_folders(tmp_path):
     text = 'splits = {train_id = 1.0}\n[[scenes]]\nname = "lab"\nfile = "lab.obj"\nseen = ["chair"]\nepisodes = 1\n'
     path = tmp_path / "mine.toml"
     path.write_text(text)

@@ -84,7 +84,7 @@ def test_a_redraw_of_another_target_keeps_the_template():
         assert again.episode.template_id == planned.episode.template_id
 
 
-def test_a_category_without_a_unique_object_is_refused_with_the_unique_objects():
+def test_the_error_of_a_category_without_a_unique_object_lists_the_unique_objects():
     plan = _plan("scene", seen=("chair", "monitor", "plant"))
     (line,) = find_impossible(plan, {"office": ENTRY})
     assert 'instructions.unique is "scene", but no instruction fits only one monitor;' in line
@@ -165,7 +165,7 @@ def test_the_summary_counts_ambiguous_instructions_and_targets_that_are_shown_al
     assert sum(off.templates.values()) == off.episodes == 120
 
 
-def test_the_summary_of_a_huge_plan_is_that_of_a_reduced_one():
+def test_the_summary_of_a_huge_plan_describes_a_reduced_plan():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5_000_000),), balance="categories")
     summary = summarise(plan, make_catalog(plan))
     assert summary.episodes == 6_000

@@ -125,7 +125,7 @@ def test_a_heartbeat_reply_lists_lost_leases_unwanted_bundles_and_waiting_bundle
     assert [row.id for row in outcome.waiting] == [waiting.job_id]
 
 
-def test_a_vanished_worker_only_shortens_its_leases(timed_ledger):
+def test_only_the_leases_of_a_vanished_worker_are_shortened(timed_ledger):
     mine, theirs = timed_ledger.lease("host-1"), timed_ledger.lease("other-1")
     with timed_ledger.open() as connection:
         assert claims.shorten(connection, "host-1", timed_ledger.now, 2.0) == 1
@@ -343,7 +343,7 @@ def test_progress_counts_only_current_draws_and_is_consistent(timed_ledger):
     assert not progress.finished
 
 
-def test_progress_estimates_from_the_last_ten_minutes(timed_ledger):
+def test_rate_and_remaining_time_are_estimated_from_the_last_ten_minutes(timed_ledger):
     for _ in range(2):
         lease = timed_ledger.lease()
         timed_ledger.done(lease)
@@ -449,7 +449,7 @@ def test_a_lease_belongs_to_the_host_that_claimed_it(timed_ledger):
     assert not timed_ledger.done(lease, "thief.a")
 
 
-def test_sessions_are_bounded_and_silent_ones_are_removed(timed_ledger, monkeypatch):
+def test_the_number_of_sessions_is_bounded_and_silent_sessions_are_removed(timed_ledger, monkeypatch):
     def hello(host: str, number: int) -> bool:
         with timed_ledger.open() as connection:
             return hosts.register(

@@ -147,7 +147,7 @@ def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
         read_dataset_meta(tmp_path)
 
 
-def test_newer_format_is_refused_by_number(tmp_path: Path) -> None:
+def test_the_error_of_a_newer_format_names_its_number(tmp_path: Path) -> None:
     write(tmp_path, 1, 1)
     path = tmp_path / "dataset_meta.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": DATASET_FORMAT + 1, "novelty": True}))

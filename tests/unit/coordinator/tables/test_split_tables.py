@@ -64,7 +64,7 @@ def flip(path: Path, place: int) -> None:
     path.write_bytes(data)
 
 
-def test_the_tables_together_are_the_metadata(root: Path) -> None:
+def test_the_tables_together_contain_the_rows_of_the_metadata(root: Path) -> None:
     tables = [pq.read_table(path) for path in sorted((root / "data").iterdir())]
     rows = pa.concat_tables(tables).drop_columns([THUMBNAIL]).sort_by("index")
     assert rows.replace_schema_metadata().equals(pq.read_table(root / METADATA_FILE).replace_schema_metadata())
@@ -139,7 +139,7 @@ def test_each_range_of_episode_numbers_has_a_separate_file(root: Path) -> None:
     ]
 
 
-def test_metadata_in_another_order_is_refused_and_loses_nothing(root: Path) -> None:
+def test_metadata_that_is_not_in_ascending_order_is_refused(root: Path) -> None:
     table = pq.read_table(root / METADATA_FILE)
     pq.write_table(table.take([6, 5, 4, 3, 2, 1, 0]), root / METADATA_FILE)
     with pytest.raises(ArchiveCorrupt, match="not in ascending order"):

@@ -194,7 +194,7 @@ def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> Pull:
 
 
 @pytest.mark.parametrize("slow_hosts", [1, 2, 10])
-def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_hosts: int) -> None:
+def test_slow_hosts_do_not_delay_the_bundle_of_another_host(tmp_path: Path, slow_hosts: int) -> None:
     slow = SlowHosts(pause_s=0.3)
     settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=0)
     with (

@@ -57,5 +57,5 @@ def test_a_false_path_is_refused(planned, words):
     assert any(words in finding for finding in findings(parts))
 
 
-def test_only_the_planner_has_a_path():
+def test_the_path_of_an_expert_other_than_the_planner_is_refused():
     assert "proportional" in findings(parts_for().with_meta(route=Route(planned=PATH)))[0]

@@ -84,7 +84,7 @@ def test_a_confined_process_can_execute_an_allowed_operation(operation: str, tmp
     assert result == "done"
 
 
-def test_without_the_library_limits_apply_and_the_log_names_the_missing_part(tmp_path: Path) -> None:
+def test_limits_apply_without_the_library_and_the_log_names_the_missing_part(tmp_path: Path) -> None:
     (tmp_path / "pyseccomp.py").write_text("raise ImportError('not installed')")
     (tmp_path / "ep_000001.zip").write_bytes(b"rubbish")
     code = (

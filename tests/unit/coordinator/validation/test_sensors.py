@@ -80,7 +80,7 @@ def test_exchanged_measurements_are_found_by_their_digest() -> None:
     assert finding.startswith("sensor scan decodes to digest ")
 
 
-def test_a_rig_without_measurements_and_another_format_are_found() -> None:
+def test_missing_measurements_and_the_wrong_format_of_a_bundle_with_a_rig_are_found() -> None:
     plain = parts_for()
     meta = plain.meta.model_copy(update={"job": job_for(view=ViewSettings(rig=RIG))})
     bundle = BundleReader(io.BytesIO(plain.write()))

@@ -78,7 +78,7 @@ def freeze_colour(parts: BundleParts) -> BundleParts:
 
 JOB = {
     "another colour": (lambda p: p.with_job(colour="blue"), "job.colour: the bundle has 'blue'"),
-    "another attempt": (lambda p: p.with_job(attempt=2), "job.attempt: the bundle has 2, the ledger leased 1"),
+    "another attempt": (lambda p: p.with_job(attempt=2), "job.attempt: the bundle has 2, the leased job has 1"),
     "another scene": (lambda p: p.with_job(scene_sha256="c" * 64), "job.scene_sha256"),
     "another target": (lambda p: p.with_job(target_id="chair_002"), "job.target_id"),
     "another run": (lambda p: p.with_job(run="other-1"), "job.run"),
@@ -346,7 +346,7 @@ def test_many_bad_frames_are_counted_not_listed() -> None:
     assert any(text == "and 4 more findings about frames" for text in found)
 
 
-def test_a_sample_has_both_ends_and_one_frame_in_eight_by_the_content_digest() -> None:
+def test_a_sample_has_both_end_frames_and_every_eighth_frame_from_an_offset_given_by_the_digest() -> None:
     samples = set()
     for first in range(8):
         parts = parts_for()
@@ -374,7 +374,7 @@ def test_a_visibility_that_the_sampled_frames_contradict_is_refused(said: int) -
     assert f"steps_visible {said}, but" in "\n".join(validate(broken, scope=Scope.SAMPLE))
 
 
-def test_progress_names_every_frame() -> None:
+def test_progress_is_reported_for_every_frame() -> None:
     seen: list[int] = []
     validate(BundleReader(io.BytesIO(bundle_bytes())), on_frame=seen.append)
     assert seen == list(range(12))

@@ -23,7 +23,7 @@ def test_a_reset_before_the_end_of_the_requests_is_a_connection_error():
     with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as tab:
         reset(server.accept()[0])
         with pytest.raises(ConnectionResetError):
-            tab.recv(1)  # the reset has arrived, and its error is consumed
+            tab.recv(1)  # waits for the reset and consumes its error
         with pytest.raises(ConnectionResetError):
             read_to_the_end(tab)
 

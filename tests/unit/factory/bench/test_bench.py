@@ -47,7 +47,7 @@ def test_a_stopwatch_gives_every_stage_the_time_since_the_previous_stage() -> No
     assert watch.take() == {}
 
 
-def test_costs_are_milliseconds_per_frame_over_the_runs() -> None:
+def test_costs_are_milliseconds_per_frame_with_their_spread_over_the_runs() -> None:
     (cost,) = stage_costs([(10, {"render": (1.0, 0.5)}), (10, {"render": (3.0, 0.6)}), (10, {"render": (2.0, 0.7)})])
     assert (cost.stage, cost.wall_ms.median, cost.wall_ms.low, cost.wall_ms.high) == ("render", 200.0, 100.0, 300.0)
     assert cost.cpu_ms.median == pytest.approx(60.0)
@@ -77,7 +77,7 @@ def test_the_table_of_a_rollout_benchmark_names_the_screening_of_its_starts(
     assert load_plan("demo").screening == "foreseen"
 
 
-def test_a_scene_or_number_that_the_plan_does_not_have_is_refused_by_name() -> None:
+def test_a_scene_or_number_of_episodes_that_the_plan_does_not_have_is_refused() -> None:
     with pytest.raises(UsageError, match="no scene 'garage'"):
         narrow(load_plan("paper"), ("garage",), 1)
     with pytest.raises(UsageError, match=r"fewer episodes \(52 of hospital\)"):

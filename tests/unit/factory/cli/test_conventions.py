@@ -285,7 +285,7 @@ def test_help_and_completion_import_no_command_and_no_heavy_package(body: str) -
     } & loaded == set()
 
 
-def test_the_help_of_no_command_imports_a_package_that_only_its_work_needs() -> None:
+def test_help_imports_no_package_that_only_the_work_of_a_command_needs() -> None:
     body = "import click\n"
     body += "def walk(command, parent):\n"
     body += "    context = click.Context(command, parent=parent)\n"

@@ -25,7 +25,7 @@ WANTED = [
 ]
 
 
-def test_collation_without_torch_names_the_extra() -> None:
+def test_the_error_of_collation_without_torch_names_the_extra() -> None:
     if importlib.util.find_spec("torch") is not None:
         pytest.skip("torch is installed here")
     with pytest.raises(UsageError, match=re.escape(install_command("train"))):

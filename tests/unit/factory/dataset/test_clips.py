@@ -78,7 +78,7 @@ def test_clips_can_be_pickled_while_open(dataset: Dataset) -> None:
         ({"size": 1024, "antialias": 3}, "size 1024 with antialias 3: their product must be at most 2048"),
     ],
 )
-def test_wrong_arguments_are_refused_with_their_value(dataset: Dataset, wrong: dict[str, Any], message: str) -> None:
+def test_the_error_of_a_wrong_argument_states_its_value(dataset: Dataset, wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ClipDataset(dataset, **{"length": 2, **wrong})
     if "size" in wrong or "antialias" in wrong:

@@ -59,7 +59,7 @@ def test_single_rows_of_a_large_table_equal_those_of_all_columns(own: Path) -> N
     assert [columns.row(n) for n in positions] == pq.read_table(path).select(NAMES).take(positions).to_pylist()
 
 
-def test_a_damaged_row_group_does_not_hide_single_rows_of_others(own: Path) -> None:
+def test_a_damaged_row_group_does_not_hide_single_rows_of_other_groups(own: Path) -> None:
     path = own / "metadata.parquet"
     pq.write_table(pa.concat_tables([pq.read_table(path)] * 2000), path, 1000)
     data = bytearray(path.read_bytes())

@@ -63,7 +63,7 @@ def test_episode_gives_what_was_recorded(shared: Path) -> None:
             assert all(np.array_equal(one, two) for one, two in zip(found, written, strict=True))
 
 
-def test_frames_count_from_both_ends(shared: Path) -> None:
+def test_a_negative_step_counts_from_the_end_and_a_step_beyond_the_end_is_refused(shared: Path) -> None:
     episode = Dataset(shared)[0]
     assert np.array_equal(episode.frame(-1).rgb, episode.frame(11).rgb)
     with pytest.raises(IndexError, match="ep_000001 has steps 0 to 11, not 12"):
@@ -78,7 +78,7 @@ def test_unknown_episodes_are_named(shared: Path) -> None:
         data[3]
 
 
-def test_filters_narrow_and_combine(shared: Path) -> None:
+def test_filters_select_episodes_and_can_be_combined(shared: Path) -> None:
     data = Dataset(shared)
     assert len(data.filter(split="train_id", scene="office", tier=("near", "mid"), category="chair")) == 3
     assert len(data.filter(tier="far")) == 0
@@ -201,7 +201,7 @@ def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
         Dataset(tmp_path)
 
 
-def test_newer_dataset_is_refused_by_number(own: Path) -> None:
+def test_the_error_of_a_newer_dataset_names_its_format(own: Path) -> None:
     path = own / "dataset_meta.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 9}))
     with pytest.raises(WorldError, match="dataset format 9, this software reads up to 2: upgrade"):

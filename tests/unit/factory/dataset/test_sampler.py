@@ -155,7 +155,7 @@ def test_a_dataset_without_samples_has_an_empty_order(dataset: Dataset) -> None:
         ({"rank": 2, "replicas": 2}, "rank 2 with replicas 2: choose 0 to 1"),
     ],
 )
-def test_wrong_arguments_are_refused_with_their_value(
+def test_the_error_of_a_wrong_argument_states_its_value(
     frames: FrameDataset, wrong: dict[str, int], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):

@@ -302,7 +302,7 @@ def test_the_last_window_of_commands_is_averaged_over_the_remaining_steps() -> N
     assert np.array_equal(frame_columns(actions, poses, 60, 1).action, actions)
 
 
-def test_the_depth_encoding_keeps_zero_and_has_an_error_of_half_a_step() -> None:
+def test_the_depth_encoding_keeps_zero_and_has_an_error_of_at_most_half_a_step() -> None:
     code = DepthCode(FAR_M)
     depth = np.linspace(0, FAR_M, 100_001, dtype=np.float32).reshape(1, -1)
     codes = code.encode(depth)

@@ -178,7 +178,7 @@ def test_command_line_takes_the_options_of_every_format() -> None:
     for name in EXPORTERS:
         for field, info in find_exporter(name).options.model_fields.items():
             assert f"--{field.replace('_', '-')}" in shown
-            assert info.description, f"{name}: {field} says nothing of itself"
+            assert info.description, f"{name}: {field} has no description"
 
 
 def test_the_command_exports_in_processes_and_prints_the_result(varied: Path, tmp_path: Path) -> None:

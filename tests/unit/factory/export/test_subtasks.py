@@ -19,7 +19,7 @@ def step(number: int, start: int, end: int) -> SubInstruction:
     return SubInstruction(number=number, text=f"Go {number}.", step=forward, start=start, end=end)
 
 
-def test_every_frame_has_all_subtasks_which_begin_at_exported_frames():
+def test_every_frame_has_all_subtask_rows_and_each_row_begins_at_an_exported_frame():
     steps = (step(1, 0, 31), step(2, 31, 50), step(3, 50, 60))
     rows = subtask_rows(steps, hz=60, stride=15, frames=4)
     assert [(row["content"], row["timestamp"]) for row in rows] == [("Go 1.", 0.0), ("Go 3.", 0.75)]
@@ -43,7 +43,7 @@ def question(start: int, end: int, reason: str | None, language: str = "en") -> 
     )
 
 
-def test_a_question_is_asked_at_the_first_exported_frame_of_its_answer_and_omitted_without_one():
+def test_a_question_is_asked_at_the_first_exported_frame_of_its_answer_and_omitted_if_there_is_none():
     asked = [
         question(0, 1, "R."),
         question(16, 40, None),

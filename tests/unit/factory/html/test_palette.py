@@ -68,7 +68,7 @@ def test_scenes_and_tiers_differ_without_any_colour() -> None:
     assert len(set(DASHES)) >= len(BUILTIN_CATEGORIES)
 
 
-def test_scenes_keep_their_colour_by_position() -> None:
+def test_the_position_of_a_scene_determines_its_colour_and_colours_repeat_after_eight_scenes() -> None:
     found = scene_colours([f"s{n}" for n in range(9)])
     assert len(set(found.values())) == 8
     assert found["s0"] == found["s8"] == COLOURS["scene1"][0]

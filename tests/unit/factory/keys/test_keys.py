@@ -138,7 +138,7 @@ def test_a_world_readable_key_is_refused(pki):
         read_credentials(pki / "node-1")
 
 
-def test_an_incomplete_folder_is_refused_with_the_missing_files(pki):
+def test_the_error_of_an_incomplete_folder_names_the_missing_files(pki):
     tls_files(pki / "node-1").ca.unlink()
     with pytest.raises(UsageError, match=r"lacks ca\.pem"):
         read_credentials(pki / "node-1")

@@ -148,7 +148,7 @@ def test_foreign_urls_and_a_damaged_cache_are_refused(tmp_path):
         ("zh", "不要去{np}。", "a negation"),
     ],
 )
-def test_a_pattern_has_one_slot_an_action_and_nothing_else(code, text, fault):
+def test_a_pattern_has_one_slot_and_an_action_and_nothing_else(code, text, fault):
     found = pattern_fault(code, text)
     assert fault in found if fault else found == ""
 

@@ -77,7 +77,7 @@ def test_a_rate_within_the_papers_range_has_no_difference() -> None:
     assert (row.ours, row.difference, row.reason) == (pytest.approx(5 / 6), 0, "")
 
 
-def test_a_rate_outside_the_papers_range_names_the_failure_reasons() -> None:
+def test_the_explanation_of_a_rate_outside_the_papers_range_names_the_failure_reasons() -> None:
     failures = [failure(1, attempt).model_copy(update={"reason": "collision"}) for attempt in (1, 2, 3)]
     row = found([episode_row(1, attempt=4)], OFFICE_RATE, failures)
     assert (row.ours, row.difference) == (0, pytest.approx(-0.8))
@@ -160,13 +160,13 @@ def test_the_share_of_the_three_most_frequent_categories_has_an_interval() -> No
     assert row.interval == pytest.approx((0.552, 0.953), abs=0.001)
 
 
-def test_shares_follow_the_plan() -> None:
+def test_the_explanation_of_a_share_states_the_share_that_the_plan_requests() -> None:
     row = found([episode_row(1, split=Split.TEST_ID)], "share of test_id")
     assert row.published == pytest.approx(121 / 1174)
     assert row.reason.startswith("The plan requests 10 %")
 
 
-def test_the_share_of_a_small_plan_is_that_of_its_cells() -> None:
+def test_the_explanation_of_a_share_states_its_value_after_rounding_for_a_small_plan() -> None:
     row = found([episode_row(1)], "share of train_id")  # the plan has 2 episodes, 1 in each scene
     assert row.reason.startswith(
         "The plan requests 60 % (100 % after rounding to its 2 episodes); 1 of 2 generated so far"

@@ -69,7 +69,7 @@ def test_a_new_report_replaces_the_old_one_and_removes_its_leftovers(tmp_path: P
     assert names == {"mine.svg", "new.svg", MARKER_FILE, PAGE_FILE}
 
 
-def test_an_edited_marker_deletes_nothing_outside(tmp_path: Path) -> None:
+def test_an_edited_marker_does_not_cause_the_deletion_of_other_files(tmp_path: Path) -> None:
     out, other = tmp_path / "out", tmp_path / "other.svg"
     write(out, PAGE_FILE)
     other.write_text("mine")

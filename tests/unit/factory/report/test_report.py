@@ -87,7 +87,7 @@ def test_tables_scroll_in_containers_that_the_keyboard_reaches(files: dict[str, 
         assert attributes["aria-label"]
 
 
-def test_every_drawing_is_there_as_svg_and_png(files: dict[str, bytes]) -> None:
+def test_every_drawing_is_written_as_svg_and_png(files: dict[str, bytes]) -> None:
     names = {name.rsplit(".", 1)[0] for name in files if name.startswith("figures/")}
     assert len(names) >= 16
     for name in names:
@@ -149,7 +149,7 @@ def test_the_drawings_of_another_plan_have_no_mark_of_the_paper(
     assert not {name for name, content in alone.items() if name.endswith(".svg") and ink in content}
 
 
-def test_numbers_of_another_plan_are_those_of_the_comparison(data: Path) -> None:
+def test_numbers_of_another_plan_do_not_depend_on_the_comparison_with_the_paper(data: Path) -> None:
     beside, alone = measure_dataset(data, compare_paper=True), measure_dataset(data)
     assert (beside.beside_paper, alone.beside_paper) == (True, False)
     assert '"source"' in beside.model_dump_json()

@@ -76,7 +76,7 @@ def test_a_stopped_gate_run_returns_its_finished_trials() -> None:
     assert len(trials) == 2
 
 
-def test_verdict_counts_by_tier_and_reason() -> None:
+def test_the_report_of_a_gate_counts_trials_by_tier_and_reason() -> None:
     trials = [
         Trial(job_for(3, tier=Tier.FAR), FailReason.TIMEOUT, "1000 steps"),
         Trial(job_for(2, tier=Tier.FAR), FailReason.COLLISION, "stalled"),

@@ -50,7 +50,7 @@ def test_a_seed_without_a_valid_layout_is_followed_by_the_next_one(tmp_path: Pat
     assert "seed 6: no reachable 'chair'" in built[1].refused[0]
 
 
-def test_a_layout_that_no_seed_provides_names_the_reasons(tmp_path: Path) -> None:
+def test_the_error_of_a_layout_that_no_seed_provides_names_the_reasons(tmp_path: Path) -> None:
     for seed in range(5, 45, 2):
         put_package(tmp_path, "office_00005", seed, "plant")
     with pytest.raises(InvalidPlan, match="none of 20 seeds of office_00005") as error:
@@ -79,7 +79,7 @@ def test_a_dataset_keeps_the_layouts_that_it_has(tmp_path: Path) -> None:
     assert {entry.path for entry in found.values()} == set(packages_by_scene(scenes).values())
 
 
-def test_a_stopped_build_ends_the_run_as_an_interrupt(tmp_path: Path) -> None:
+def test_a_stopped_build_raises_keyboard_interrupt(tmp_path: Path) -> None:
     builds = LayoutBuilds()
     builds.stop.set()
     with pytest.raises(KeyboardInterrupt):

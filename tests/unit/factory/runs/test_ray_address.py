@@ -28,7 +28,7 @@ def test_an_address_where_no_server_runs_is_refused(scheme: str) -> None:
 
 
 @pytest.mark.parametrize("address", [None, "auto", "local"])
-def test_an_address_without_a_host_is_left_to_ray(address: str | None) -> None:
+def test_an_address_without_a_host_is_not_checked(address: str | None) -> None:
     require_reachable(address)
 
 

@@ -40,14 +40,14 @@ def test_a_stage_without_a_default_prim_is_read_completely_and_noted(tmp_path: P
     assert noted(extraction, "defaultPrim", "/Hall")
 
 
-def test_a_missing_default_prim_is_noted_by_name(tmp_path: Path) -> None:
+def test_a_missing_default_prim_is_named_in_a_note(tmp_path: Path) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX)
     path.write_text(path.read_text().replace('defaultPrim = "World"', 'defaultPrim = "Hall"'))
     assert noted(extract_stage(path), "'Hall' does not exist", "/World", "deactivate")
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "1e-12", "1e9"])
-def test_implausible_units_are_refused_with_the_common_ones(tmp_path: Path, value: str) -> None:
+def test_the_error_of_an_implausible_unit_states_common_units(tmp_path: Path, value: str) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX, units=f"metersPerUnit = {value}")
     with pytest.raises(WorldError, match=r"scene\.usda has metersPerUnit.*0\.01"):
         extract_stage(path)
@@ -67,20 +67,22 @@ def test_implausible_units_are_refused_with_the_common_ones(tmp_path: Path, valu
         (TEXT.box("Floor", (0, 0, -1), (8000, 8000, 0)), ["odd.usda", "/World/Floor (8000 x", "grid", "metersPerUnit"]),
     ],
 )
-def test_a_stage_without_mesh_or_floor_names_file_and_remedy(tmp_path: Path, body: str, words: list[str]) -> None:
+def test_the_error_of_a_stage_without_mesh_or_floor_names_file_and_remedy(
+    tmp_path: Path, body: str, words: list[str]
+) -> None:
     with pytest.raises(WorldError) as caught:
         compile_stage(TEXT.write(tmp_path / "odd.usda", body), "odd", "test")
     assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
-def test_rules_that_match_nothing_name_some_prims_and_the_remedy(tmp_path: Path) -> None:
+def test_the_error_of_rules_that_match_nothing_names_some_prims_and_the_remedy(tmp_path: Path) -> None:
     rules = RuleBook(rules=(CategoryRule(category="dragon", include=("dragon",)),))
     path = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
     with pytest.raises(WorldError, match=r"room\.usda has no instance of a known category.*Floor.*--rules"):
         compile_stage(path, "room", "test", rules)
 
 
-def test_too_many_triangles_name_the_largest_prims_and_the_remedy(tmp_path: Path) -> None:
+def test_the_error_of_too_many_triangles_names_the_largest_prims_and_the_remedy(tmp_path: Path) -> None:
     ball = 'def Sphere "Ball" {\ndouble radius = 1\n}\n'
     assert len(extract(tmp_path, BOX + ball, StageLimits(max_triangles=1000)).parts) == 2
     with pytest.raises(WorldError, match=r"scene\.usda has more than 100 triangles.*/World/Ball.*--max-triangles"):
@@ -135,7 +137,7 @@ def test_usd_warnings_are_the_same_at_every_import(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("indices", ["[0, 7]", "[0, -1]"])
-def test_a_point_instancer_with_wrong_indices_is_skipped_by_name(tmp_path: Path, indices: str) -> None:
+def test_a_point_instancer_with_wrong_indices_is_skipped_with_a_note(tmp_path: Path, indices: str) -> None:
     instancer = f"""
     def PointInstancer "Crates" {{
         rel prototypes = </World/Crates/Box>
@@ -148,7 +150,7 @@ def test_a_point_instancer_with_wrong_indices_is_skipped_by_name(tmp_path: Path,
     assert noted(extraction, "/World/Crates", "1 prototypes")
 
 
-def test_a_point_instancer_that_copies_itself_ends_with_a_note(tmp_path: Path) -> None:
+def test_a_point_instancer_that_copies_itself_is_skipped_with_a_note(tmp_path: Path) -> None:
     instancer = """
     def Xform "Nest" {
         def PointInstancer "Crates" {
@@ -162,13 +164,13 @@ def test_a_point_instancer_that_copies_itself_ends_with_a_note(tmp_path: Path) -
     assert noted(extraction, "copies itself")
 
 
-def test_a_missing_payload_is_noted_by_its_file(tmp_path: Path) -> None:
+def test_the_file_of_a_missing_payload_is_named_in_a_note(tmp_path: Path) -> None:
     extraction = extract(tmp_path, TEXT.group("Lost", "", head="prepend payload = @nowhere.usda@") + BOX)
     assert [part.path for part in extraction.parts] == ["/World/Box"]
     assert noted(extraction, "nowhere.usda")
 
 
-def test_mixed_units_are_noted_by_layer(tmp_path: Path) -> None:
+def test_a_layer_with_another_unit_is_named_in_a_note(tmp_path: Path) -> None:
     inches = StageText(0.0254)
     inches.write(tmp_path / "prop.usda", inches.box("Box", (0, 0, 0), (1, 1, 1)))
     extraction = extract(tmp_path, TEXT.group("Prop", "", head="prepend references = @prop.usda@"))
@@ -200,7 +202,7 @@ print("survived")
 """
 
 
-def test_corrupt_binary_stages_are_refused_by_name(tmp_path: Path) -> None:
+def test_the_error_of_a_corrupt_binary_stage_names_its_file(tmp_path: Path) -> None:
     from pxr import Usd
 
     path = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
@@ -271,7 +273,7 @@ def test_a_refused_texture_shows_its_fallback(tmp_path: Path, secret: Path) -> N
 
 
 @pytest.mark.parametrize("file", ["../../etc/nothing.png", "nothing.png"])
-def test_a_missing_texture_is_noted_by_name(tmp_path: Path, file: str) -> None:
+def test_a_missing_texture_is_named_in_a_note(tmp_path: Path, file: str) -> None:
     scene = compile_stage(TEXT.write(tmp_path / "room.usda", room_body(TEXT, textured(file))), "room", "test")
     assert any(
         "nothing.png" in note and "one colour" in note and note.startswith(("/World/Poster:", "/World/Print:"))

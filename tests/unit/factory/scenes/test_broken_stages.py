@@ -248,7 +248,7 @@ def test_nested_instances_are_all_extracted(tmp_path: Path) -> None:
         ("https://example.com/missing.png", ""),
     ],
 )
-def test_an_unreadable_texture_is_noted_by_its_file(tmp_path: Path, asset: str, file: str) -> None:
+def test_the_file_of_an_unreadable_texture_is_named_in_a_note(tmp_path: Path, asset: str, file: str) -> None:
     if file:
         (tmp_path / file).write_bytes(b"v/1\x01 no picture at all")
     extraction = extract(tmp_path, GOOD + textured(asset))

@@ -57,7 +57,7 @@ def test_a_changed_layer_rule_or_target_list_triggers_compilation(stage: Path) -
     assert imported(stage)[1]
 
 
-def test_a_ceiling_triggers_compilation_unless_it_is_the_same(stage: Path) -> None:
+def test_only_a_changed_ceiling_triggers_compilation(stage: Path) -> None:
     imported(stage)
     low, high = (imported(stage, limits=StageLimits(ceiling_m=height)) for height in (2.6, 3.0))
     assert (low[1], high[1]) == (True, True)

@@ -108,7 +108,7 @@ def test_words_are_split_at_case_digits_and_punctuation() -> None:
         "- category: chair\n  include: [a]\n  colours: [beige]",
     ],
 )
-def test_an_invalid_rule_table_is_refused_by_name(tmp_path: Path, text: str) -> None:
+def test_the_error_of_an_invalid_rule_table_names_its_file(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(UsageError, match=r"mine\.yaml"):

@@ -100,7 +100,7 @@ def test_another_format_with_a_usd_suffix_is_detected_by_its_first_bytes(
     assert f"contains {kind}, but has the suffix of a USD stage" in find_fault(path)
 
 
-def test_a_stage_with_a_wrong_suffix_is_refused_with_the_right_suffix(tmp_path: Path) -> None:
+def test_the_error_of_a_stage_with_a_wrong_suffix_names_the_right_suffix(tmp_path: Path) -> None:
     from pxr import Usd, UsdUtils
 
     text = stage(tmp_path)

@@ -11,7 +11,7 @@ from scipy import stats
 from factory.stats.measures import deviation_of, fit_line, mean_of, median_of, quantiles_of, share_of
 
 
-def test_mean_median_and_deviation_fit_hand_computed_values() -> None:
+def test_mean_median_and_deviation_equal_hand_computed_values() -> None:
     values = [2.0, 4.0, 4.0, 10.0]
     assert mean_of(values) == 5.0
     assert median_of(values) == 4.0
@@ -30,7 +30,7 @@ def test_quantiles_run_linearly_from_smallest_to_largest() -> None:
     assert found == {"p00": 0, "p05": 5, "p25": 25, "p50": 50, "p75": 75, "p95": 95, "p100": 100}
 
 
-def test_wilson_interval_fits_the_textbook_formula() -> None:
+def test_wilson_interval_agrees_with_the_textbook_formula() -> None:
     share, z, n = share_of(40, 50), 1.959964, 50
     centre = (0.8 + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * (0.8 * 0.2 / n + z**2 / (4 * n**2)) ** 0.5
@@ -50,7 +50,7 @@ def test_the_share_of_no_trials_is_undefined() -> None:
     assert (share.share, share.low, share.high) == (None, None, None)
 
 
-def test_correlation_fits_hand_computed_values() -> None:
+def test_correlation_equals_hand_computed_values() -> None:
     fit = fit_line("all", [1.0, 2.0, 3.0, 4.0], [1.0, 3.0, 2.0, 4.0])
     assert fit.r == pytest.approx(0.8)  # sum of products 4, sums of squares 5 and 5
     assert fit.slope == pytest.approx(0.8)
@@ -82,24 +82,24 @@ def test_the_fisher_interval_of_the_published_correlation_is_the_published_inter
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_fewer_than_three_episodes_give_no_correlation_and_a_note(count: int) -> None:
+def test_fewer_than_three_episodes_give_a_note_instead_of_a_correlation(count: int) -> None:
     fit = fit_line("near", list(range(count)), list(range(count)))
     assert (fit.n, fit.r, fit.p, fit.slope) == (count, None, None, None)
     assert fit.remark == f"a fit needs at least 3 episodes, the group has {count}"
 
 
-def test_the_interval_of_three_episodes_contains_all_correlations() -> None:
+def test_the_interval_of_three_episodes_contains_every_possible_correlation() -> None:
     fit = fit_line("far", [1.0, 2.0, 3.0], [1.0, 3.0, 2.0])
     assert (fit.low, fit.high) == (-1.0, 1.0)
 
 
-def test_equal_distances_give_no_correlation_and_a_note() -> None:
+def test_equal_distances_give_a_note_instead_of_a_correlation() -> None:
     fit = fit_line("near", [2.0] * 5, [1.0, 1.1, 1.2, 1.3, 1.4])
     assert fit.r is None
     assert fit.remark == "all spawn distances are equal"
 
 
-def test_a_perfect_line_has_a_finite_interval_and_fits_json() -> None:
+def test_a_perfect_line_has_a_finite_interval_and_can_be_written_as_json() -> None:
     fit = fit_line("near", [1.0, 2.0, 3.0, 4.0], [2.0, 4.0, 6.0, 8.0])
     assert fit.slope == pytest.approx(2.0)
     assert fit.low == pytest.approx(1.0)

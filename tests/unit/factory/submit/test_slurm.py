@@ -100,7 +100,7 @@ def test_the_first_job_is_cancelled_if_the_second_is_refused(job, tmp_path, monk
     assert (tmp_path / "cancelled").read_text() == "41\n"
 
 
-def test_a_host_without_slurm_and_a_refused_job_are_errors_with_the_reason(job, tmp_path, monkeypatch):
+def test_a_host_without_slurm_and_a_refused_job_raise_errors_with_the_reason(job, tmp_path, monkeypatch):
     write_scripts(job, "shards")
     monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
     with pytest.raises(UsageError, match="sbatch is not installed on this host"):

@@ -84,7 +84,7 @@ def test_repeated_lines_are_rate_limited_and_counted() -> None:
     assert limit.admit("a") == 2
 
 
-def test_the_table_of_kinds_is_bounded() -> None:
+def test_the_rate_limit_remembers_a_bounded_number_of_kinds() -> None:
     limit = LogLimit(1.0, clock=lambda: 0.0)
     for number in range(5000):
         assert limit.admit(f"host-{number}") == 0

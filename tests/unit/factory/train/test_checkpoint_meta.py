@@ -37,7 +37,7 @@ def test_metadata_is_read_back_from_json() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"format": 3}, {"look": 99}])
-def test_other_versions_are_refused_by_number(changes: dict[str, int]) -> None:
+def test_the_error_of_another_version_names_its_number(changes: dict[str, int]) -> None:
     text = json.dumps(json.loads(meta().model_dump_json()) | changes)
     with pytest.raises(UsageError, match=r"another version .*(format 3|preprocessing 99)"):
         parse_meta(text, PATH)

@@ -50,12 +50,12 @@ def test_short_episodes_use_every_frame() -> None:
     assert chosen_frames(5, 6).tolist() == [0, 2, 4]
 
 
-def test_labels_hold_the_command_at_the_end_of_the_hold() -> None:
+def test_a_label_is_the_command_at_the_end_of_the_hold() -> None:
     actions = drive()
     frames = np.array([0, 12, 80, 84])
     labels = label_episode(actions, frames, stop=83, hold=6)
     assert labels.is_stop.tolist() == [False, False, False, True]
     assert np.array_equal(labels.actions[0], actions[5])
     assert np.array_equal(labels.actions[1], actions[17])
-    assert np.array_equal(labels.actions[2], actions[82]), "not into the braking"
+    assert np.array_equal(labels.actions[2], actions[82]), "the hold ends before the braking"
     assert labels.actions[3].tolist() == [0.0, 0.0]

@@ -34,7 +34,7 @@ def test_depth_is_in_millimetres_and_empty_pixels_are_far() -> None:
     assert small[10, 10] == small[100, 100] == FAR_M * 1000
 
 
-def test_mask_is_the_share_of_each_block() -> None:
+def test_each_mask_value_is_the_share_of_the_target_in_its_block() -> None:
     ids = np.zeros((FRAME_SIZE_PX, FRAME_SIZE_PX), np.uint16)
     ids[:40, :20] = 7
     mask = shrink_mask(ids, 7, 16)

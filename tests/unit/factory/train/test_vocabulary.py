@@ -25,7 +25,7 @@ def test_case_and_punctuation_do_not_matter() -> None:
     assert np.array_equal(encode("Go to the CHAIR!", WORDS), encode("go to the chair", WORDS))
 
 
-def test_different_objects_give_different_numbers() -> None:
+def test_different_categories_are_encoded_differently() -> None:
     said = {tuple(encode(f"Go to the {name.replace('_', ' ')}.", WORDS)) for name in CATEGORIES}
     assert len(said) == len(CATEGORIES)
 

@@ -206,7 +206,7 @@ def test_a_duplicate_row_is_found(data: Path) -> None:
     assert (Kind.CONTRADICTION, "metadata.parquet") in kinds(verify(data))
 
 
-def test_row_that_breaks_its_model_is_found(data: Path) -> None:
+def test_row_that_violates_its_model_is_found(data: Path) -> None:
     edit_row(data, 1, split="someday")
     assert (Kind.DAMAGED, "metadata.parquet") in kinds(verify(data))
 
@@ -229,7 +229,7 @@ def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Pat
     assert "displacement in a step beyond the command" in finding.text
 
 
-def test_target_that_the_scene_places_elsewhere_is_found(data: Path) -> None:
+def test_target_whose_position_differs_from_the_scene_is_found(data: Path) -> None:
     before = Dataset(data)
     with open_archive(data) as archive:
         moved = parts_for(before[0].meta.job).with_meta(target_centroid_m=(1.59, 0.0, 0.5)).measured()

@@ -43,7 +43,7 @@ def scene() -> CompiledScene:
 @pytest.mark.parametrize(
     ("hz", "fps", "stride", "rate"), [(60, 30, 2, 30), (60, 15, 4, 15), (20, 30, 1, 20), (50, 30, 2, 25)]
 )
-def test_videos_run_at_real_time(hz: int, fps: int, stride: int, rate: int) -> None:
+def test_videos_run_in_real_time(hz: int, fps: int, stride: int, rate: int) -> None:
     assert film_rate(hz, fps) == (stride, Fraction(rate))
 
 
@@ -122,7 +122,7 @@ def test_a_video_states_the_reference_of_its_distance(episode: BundleReader) -> 
 
 
 @pytest.mark.parametrize("name", ["e.avi", "e"])
-def test_a_wrong_suffix_is_refused_with_the_supported_ones(root: Path, tmp_path: Path, name: str) -> None:
+def test_the_error_of_a_wrong_suffix_lists_the_supported_suffixes(root: Path, tmp_path: Path, name: str) -> None:
     with pytest.raises(UsageError, match=r"supported suffixes: \.png, \.mp4, \.gif"):
         CliRunner().invoke(command, [str(root), "1", "-o", str(tmp_path / name)], catch_exceptions=False)
     assert list(tmp_path.iterdir()) == []

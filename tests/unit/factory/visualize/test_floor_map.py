@@ -23,7 +23,7 @@ def test_a_square_has_four_corners() -> None:
     assert sorted(map(tuple, loop)) == [(2, 1), (2, 4), (5, 1), (5, 4)]
 
 
-def test_a_hole_is_a_loop_of_the_other_direction() -> None:
+def test_a_hole_is_a_loop_in_the_other_direction() -> None:
     mask = np.ones((5, 5), bool)
     mask[2, 2] = False
     assert sorted(map(area, trace_outlines(mask))) == [-1, 25]

@@ -46,7 +46,7 @@ def test_ids_have_distinct_colours_and_the_target_is_red():
 
 
 @pytest.mark.skipif(HAS_RERUN, reason="rerun-sdk is installed")
-def test_without_rerun_the_extra_is_named(scene, tmp_path):
+def test_the_error_of_a_missing_rerun_names_the_extra(scene, tmp_path):
     make_dataset(tmp_path / "dataset", 1)
     with pytest.raises(UsageError, match=re.escape(install_command("view"))):
         view_episode(Dataset(tmp_path / "dataset")[0], scene, tmp_path / "x.rrd")

@@ -39,5 +39,5 @@ def test_cookie_form_key_and_token_are_different_secrets():
         ({"host": "localhost:80", "sec-fetch-site": "same-site"}, False),
     ],
 )
-def test_only_pages_of_this_server_and_programs_may_send_changes(headers, is_own):
+def test_only_programs_and_pages_of_this_server_may_send_changes(headers, is_own):
     assert is_same_origin(headers) == is_own

@@ -69,7 +69,7 @@ def test_flagged_episodes_are_selected_in_the_order_of_the_table(dataset):
         ({"q": "a" * 201}, "at most 200"),
     ],
 )
-def test_a_wrong_query_is_refused_with_the_valid_values(given, text):
+def test_a_wrong_query_is_refused_with_the_reason(given, text):
     with pytest.raises(UsageError, match=text.replace("?", r"\?")):
         parse_query(given)
 

@@ -59,7 +59,7 @@ def test_mistakes_are_listed_with_their_keys(tmp_path: Path, text: str, message:
         load_appearance(str(path))
 
 
-def test_an_unknown_name_gets_the_closest_one() -> None:
+def test_the_error_of_an_unknown_name_suggests_the_closest_name() -> None:
     with pytest.raises(UsageError, match=r"no appearance .varid.: no such file; .*did you mean .varied."):
         load_appearance("varid")
 

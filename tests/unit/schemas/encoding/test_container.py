@@ -76,7 +76,7 @@ def test_a_long_central_directory_is_refused_before_it_is_read() -> None:
     assert "a directory of 1968 bytes for 1 members" in refused(data)
 
 
-def test_records_of_64_bits_and_comments_are_refused() -> None:
+def test_zip64_records_and_archive_comments_are_refused() -> None:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as out:
         for n in range(1 << 16):  # one entry more than a 16-bit count can express

@@ -43,6 +43,6 @@ def test_dataset_digest_does_not_depend_on_the_order(pairs: dict[str, str], rand
     assert dataset_digest(shuffled) == dataset_digest(pairs.items())
 
 
-def test_dataset_digest_depends_on_every_pair() -> None:
+def test_dataset_digest_depends_on_the_id_and_the_digest_of_an_episode() -> None:
     assert dataset_digest([("ep_000001", "a")]) != dataset_digest([("ep_000001", "b")])
     assert dataset_digest([("ep_000001", "a")]) != dataset_digest([("ep_000002", "a")])

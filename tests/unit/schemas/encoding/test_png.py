@@ -94,7 +94,7 @@ def test_foreign_chunk_is_refused() -> None:
     assert "not exactly one IDAT chunk" in refused(png(ROW * 5, extra=chunk(b"tEXt", b"hello")))
 
 
-def test_bytes_behind_the_compressed_data_are_refused() -> None:
+def test_bytes_after_the_compressed_data_are_refused() -> None:
     head = struct.pack(">IIBBBBB", 4, 5, 8, 2, 0, 0, 0)
     idat = zlib.compress(ROW * 5) + b"rest"
     data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", idat) + chunk(b"IEND", b"")

@@ -21,7 +21,7 @@ def test_there_are_18_training_templates_and_12_paraphrased_templates() -> None:
     assert len(set(TEMPLATES.values())) == 30
 
 
-def test_colour_templates_are_the_papers() -> None:
+def test_colour_templates_are_those_of_the_paper() -> None:
     coloured = {key for key in TEMPLATES if needs_colour(key)}
     assert coloured == {"train_06", "train_07", "train_08", "train_16", "ood_04", "ood_10"}
 
@@ -36,7 +36,7 @@ def test_every_instruction_is_a_sentence(template: str, category: str) -> None:
 
 
 @pytest.mark.parametrize("split", Split)
-def test_split_decides_the_pool(split: Split) -> None:
+def test_the_split_determines_the_pool_of_templates(split: Split) -> None:
     pool = OOD_TEMPLATES if split.is_paraphrased else TRAIN_TEMPLATES
     assert templates_for(split, "red") == tuple(pool)
 

@@ -52,12 +52,12 @@ def test_at_least_45_categories_have_three_variants_each() -> None:
     assert sum(count >= 3 for count in variants.values()) >= 45
 
 
-def test_a_plan_with_a_synonym_as_category_names_the_category() -> None:
+def test_the_error_of_a_plan_with_a_synonym_as_category_names_the_category() -> None:
     with pytest.raises(ValidationError, match="couch is a synonym of sofa"):
         ScenePlan(name="home", episodes=1, seen=("couch",))
 
 
-def test_a_family_has_its_categories_in_a_plan() -> None:
+def test_a_family_in_a_plan_has_its_built_in_categories() -> None:
     plan = ScenePlan(name="home", episodes=1)
     assert plan.categories == BUILTIN_CATEGORIES["home"]
     assert not set(plan.categories.seen) & set(plan.categories.held_out)

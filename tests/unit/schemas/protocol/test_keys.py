@@ -21,7 +21,7 @@ def parse(selector: str) -> tuple[BundleRange, ...]:
 
 
 @pytest.mark.parametrize("count", [1, 2, MAX_RANGES])
-def test_ranges_of_a_selector_are_parsed_again(count: int) -> None:
+def test_ranges_of_a_selector_are_read_back(count: int) -> None:
     ranges = tuple(BundleRange(number + 1, 2, Chunk(number, 100 + number)) for number in range(count))
     assert parse(bundle_selector("demo", "host.1", ranges)) == ranges
 

@@ -63,7 +63,7 @@ def test_a_rig_without_a_name_has_the_name_of_its_file(tmp_path: Path):
     assert load_rig(str(path)).name == "mine"
 
 
-def test_an_unknown_rig_is_refused_with_the_built_in_ones_and_a_suggestion(tmp_path: Path):
+def test_the_error_of_an_unknown_rig_lists_the_built_in_rigs_and_a_suggestion(tmp_path: Path):
     with pytest.raises(UsageError, match=r"no rig 'nova-cartr'.*paper, nova-carter.*did you mean 'nova-carter'"):
         load_rig("nova-cartr")
     with pytest.raises(UsageError, match="that is a directory; give a TOML file"):
@@ -126,7 +126,7 @@ def test_a_mistake_in_a_lidar_is_named_with_its_remedy(tmp_path: Path, lines: tu
     assert message in mistakes(tmp_path, head + "\n".join(wanted.values()))
 
 
-def test_a_rate_that_does_not_divide_the_control_rate_is_refused_with_those_that_do(tmp_path: Path):
+def test_the_error_of_a_rate_that_does_not_divide_the_control_rate_lists_the_rates_that_do(tmp_path: Path):
     message = mistakes(tmp_path, changed("rate_hz = 25"))
     assert "rate_hz 25 does not divide the control rate, 60 Hz (whole rates that do: 60, 30, 20, 15, 12, 10" in message
     assert "rate_hz 120 does not divide" in mistakes(tmp_path, changed("rate_hz = 120"))

@@ -121,7 +121,7 @@ def test_a_rig_with_more_images_than_a_bundle_can_have_is_refused() -> None:
     assert rig_faults(Rig(name="many", sensors=cameras), 60, 900) == []
 
 
-def test_a_rig_whose_rate_does_not_fit_is_refused_by_name() -> None:
+def test_the_error_of_a_rate_that_does_not_divide_the_control_rate_names_the_sensor() -> None:
     (fault,) = rig_faults(RIG, 50, 1000)
     assert "sensor 'front': rate_hz 20 does not divide the control rate, 50 Hz" in fault
 

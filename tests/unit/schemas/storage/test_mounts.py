@@ -24,7 +24,7 @@ def listed(tmp_path: Path, *mounts: tuple[Path, str]) -> Path:
 @pytest.mark.parametrize(
     "kind", ["nfs", "nfs4", "cifs", "smb3", "lustre", "gpfs", "beegfs", "ceph", "fuse", "fuse.sshfs", "fuse.gcsfuse"]
 )
-def test_a_ledger_on_a_network_file_system_is_refused_with_the_alternatives(tmp_path: Path, kind: str) -> None:
+def test_the_error_of_a_ledger_on_a_network_file_system_names_the_alternatives(tmp_path: Path, kind: str) -> None:
     folder = tmp_path / "my home"
     folder.mkdir()
     mounts = listed(tmp_path, (folder, kind))

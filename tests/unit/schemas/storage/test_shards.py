@@ -85,7 +85,7 @@ def test_the_directory_gives_the_place_of_each_episode() -> None:
         ("ep_000001.zip", False),
     ],
 )
-def test_only_the_canonical_name_is_a_shard(name: str, is_one: bool) -> None:
+def test_only_a_file_with_a_canonical_name_is_a_shard(name: str, is_one: bool) -> None:
     assert is_shard(name) == is_one
 
 
@@ -143,7 +143,7 @@ def test_a_flipped_byte_loses_at_most_the_episode_that_it_is_in() -> None:
         assert all(content == EPISODES[number] for number, content in found.items())
 
 
-def test_an_episode_that_contains_headers_of_other_episodes_hides_none_and_adds_none() -> None:
+def test_headers_inside_an_episode_neither_hide_nor_add_an_episode() -> None:
     nested = {1: shard_bytes({5: b"five", 6: b"six"}), 2: b"two"}
     data = shard_bytes(nested)
     assert contents(salvage_shard(io.BytesIO(data[:-1]), NAME), data) == nested
@@ -247,7 +247,9 @@ def test_an_outdated_index_is_replaced_by_the_directories(tmp_path: Path) -> Non
         assert found.read_bytes() == content
 
 
-def test_an_episode_file_is_found_beside_the_shards_and_an_unknown_one_has_the_path_of_its_file(tmp_path: Path) -> None:
+def test_an_episode_file_beside_the_shards_is_found_and_a_missing_episode_has_the_path_of_its_own_file(
+    tmp_path: Path,
+) -> None:
     dataset(tmp_path)
     single = tmp_path / "episodes/ep_000020.zip"
     single.write_bytes(b"single")

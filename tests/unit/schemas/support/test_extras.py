@@ -61,7 +61,7 @@ def test_command_of_this_installation_can_be_pasted_into_a_shell() -> None:
     assert direct_url() is None or "url" in (direct_url() or {})
 
 
-def test_missing_package_is_named_with_its_user_and_its_command() -> None:
+def test_missing_package_is_named_with_the_feature_that_needs_it_and_the_install_command() -> None:
     with pytest.raises(UsageError, match=re.escape(install_command("view"))) as raised:
         raise missing_package("rerun", "`factory view`")
     assert str(raised.value).startswith("`factory view` needs the package rerun, which is not installed")
@@ -70,7 +70,7 @@ def test_missing_package_is_named_with_its_user_and_its_command() -> None:
     require_package("numpy", "a test")
 
 
-def test_pybullet_is_explained_on_a_python_that_has_no_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_of_missing_pybullet_explains_that_this_python_has_no_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "version_info", (3, 13, 0))
     text = str(missing_package("pybullet", "`factory run`"))
     assert "wheels for Python 3.9 to 3.11 only, and this is Python 3.13.0" in text

@@ -101,7 +101,7 @@ def test_kill_from_another_thread_ends_a_read(start: Start) -> None:
     assert not process.is_running
 
 
-def test_stderr_is_emptied_before_a_message_once_it_is_large(start: Start) -> None:
+def test_a_large_stderr_file_is_emptied_before_the_next_message(start: Start) -> None:
     process = start("import sys\nfor line in sys.stdin: sys.stderr.write('x' * (2 << 20)); print(line, end='')")
     for _ in range(4):
         process.send(b"more\n")

@@ -36,9 +36,7 @@ ERRORS = [
 
 
 @pytest.mark.parametrize("error", [*ERRORS, WorldError("no inodes")], ids=str)
-def test_an_hour_of_failures_gives_a_line_at_once_a_few_later_and_one_at_the_end(
-    clock: Clock, error: Exception
-) -> None:
+def test_failures_during_an_hour_are_logged_at_once_then_rarely_and_at_the_end(clock: Clock, error: Exception) -> None:
     trouble = failing(clock)
     with capture_logs() as lines:
         for clock.now in range(3600):

@@ -93,12 +93,12 @@ def test_walls_and_floors_change_and_lamps_do_not() -> None:
         assert getattr(changed, name) is getattr(room, name)
 
 
-def test_empty_sets_keep_the_surfaces() -> None:
+def test_empty_sets_of_materials_change_no_surface() -> None:
     nothing = MaterialRanges(walls=(), floors=(), ceilings=False, furniture=False)
     assert drawn(Appearance(materials=nothing)).materials == ()
 
 
-def test_clutter_keeps_its_distance_from_the_footprint_and_from_the_view_of_the_target() -> None:
+def test_clutter_keeps_its_distance_from_the_driven_footprint_and_does_not_block_the_view_of_the_target() -> None:
     ranges, poses = ClutterRanges(count=(8, 8), clearance_m=0.2), drive()
     discs = np.stack([(poses[:, 0] + along, poses[:, 1]) for along in DISC_OFFSETS_M], axis=1).reshape(2, -1).T
     placed = 0
@@ -116,7 +116,7 @@ def test_clutter_keeps_its_distance_from_the_footprint_and_from_the_view_of_the_
     assert placed > 20
 
 
-def test_clutter_stands_on_the_floor_with_separate_ids_and_the_light_beneath_it() -> None:
+def test_clutter_stands_on_the_floor_and_has_separate_ids() -> None:
     room, factors = lit_room(), drawn(Appearance(clutter=ClutterRanges(count=(3, 3))))
     changed = apply_appearance(room, None, factors)
     assert len(changed.info.instances) == len(room.info.instances) + len(factors.clutter)
@@ -144,7 +144,7 @@ def test_a_change_moves_camera_and_focal_length() -> None:
     assert changed_camera(low, CameraChange(z_m=-0.1)).mount.z_m == 0.02
 
 
-def test_a_camera_that_looks_back_turns_beyond_180_degrees() -> None:
+def test_the_angles_of_a_changed_camera_wrap_at_180_degrees() -> None:
     back = recorded_camera(CameraConfig(), 64).model_copy(update={"mount": Mount(yaw_deg=180.0, roll_deg=-179.5)})
     mount = changed_camera(back, CameraChange(yaw_deg=1.5, roll_deg=-1.0)).mount
     assert (mount.yaw_deg, mount.roll_deg) == (-178.5, 179.5)

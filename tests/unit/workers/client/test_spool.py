@@ -46,7 +46,7 @@ def test_bundle_survives_a_restart(tmp_path):
         assert spool.read(1, 1, 0, 2000) == BUNDLE
 
 
-def test_finished_bundle_is_found_from_outside_by_its_lease_alone(tmp_path):
+def test_finished_bundle_is_found_in_any_spool_of_the_folder_by_its_lease(tmp_path):
     with open_spool(tmp_path) as one, open_spool(tmp_path) as two:
         put(two, lease(2))
         one.path_for(lease(3)).write_bytes(BUNDLE)  # not finished
@@ -74,7 +74,7 @@ def test_bundle_under_another_token_is_not_dropped(tmp_path):
         assert len(spool) == 1
 
 
-def test_a_bundle_of_a_former_ledger_is_replaced_for_the_same_job_and_fence(tmp_path):
+def test_a_bundle_of_a_former_ledger_is_replaced_by_a_new_bundle_of_the_same_job_and_fence(tmp_path):
     with open_spool(tmp_path) as spool:
         put(spool, lease(token="0"))
         put(spool, lease(token="1"), b"new")
@@ -82,7 +82,7 @@ def test_a_bundle_of_a_former_ledger_is_replaced_for_the_same_job_and_fence(tmp_
         assert spool.read(1, 1, 0, 10) == b"new"
 
 
-def test_unknown_bundle_is_a_key_error(tmp_path):
+def test_reading_an_unknown_bundle_raises_a_key_error(tmp_path):
     with open_spool(tmp_path) as spool, pytest.raises(KeyError):
         spool.read(9, 9, 0, 10)
 

@@ -46,7 +46,7 @@ def test_lease_is_live_while_it_is_held():
     assert not book.live()
 
 
-def test_only_leases_in_work_can_be_lost():
+def test_only_held_leases_can_be_lost():
     book = LeaseBook()
     with book.held(LEASE):
         book.lose([LEASE, OTHER])
@@ -56,7 +56,7 @@ def test_only_leases_in_work_can_be_lost():
         assert not book.is_lost(LEASE)
 
 
-def test_stopping_closes_and_sets_a_deadline():
+def test_stopping_begins_the_closing_phase_and_sets_a_deadline():
     phase = Phase()
     assert phase.left_s == float("inf")
     phase.stop(0.0)

@@ -24,7 +24,7 @@ def test_a_mask_that_fills_the_image_is_counted_whole():
     assert (target_mask.pixels, target_mask.column, target_mask.measure_depth()) == (640 * 640, 320.0, 3.0)
 
 
-def test_a_mask_below_the_threshold_counts_as_unseen_at_the_centre():
+def test_a_mask_below_the_threshold_gets_the_centre_column_and_no_depth():
     ids = np.zeros((640, 640), np.uint16)
     ids[0, :31] = 7
     target_mask = measure_mask(ids, DEPTH, 7, 32)
@@ -39,7 +39,7 @@ def test_the_percentile_by_counting_agrees_with_numpy():
         assert is_obstacle_near(crop, task) == (np.percentile(crop, 5) < 0.25)
 
 
-def test_the_foreground_is_the_middle_below_the_horizon():
+def test_the_foreground_window_is_the_middle_of_the_image_below_the_horizon():
     assert foreground_window(TaskConfig()) == (352, 160, 608, 480)
 
 

@@ -60,7 +60,7 @@ def test_a_point_to_the_left_and_above_is_projected_left_and_above() -> None:
     assert row < 320
 
 
-def test_ninety_degrees_at_640_pixels_are_a_focal_length_of_320() -> None:
+def test_a_field_of_view_of_90_degrees_at_640_pixels_has_a_focal_length_of_320() -> None:
     assert intrinsics(CAMERA, SIZE) == pytest.approx(np.array([[320, 0, 320], [0, 320, 320], [0, 0, 1]]))
 
 

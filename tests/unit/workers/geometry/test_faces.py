@@ -17,7 +17,7 @@ def test_cameras_with_equal_lenses_share_a_plan_of_faces():
     assert all(plan_faces(other) is plan_faces(one) for other in others)
 
 
-def test_a_pinhole_camera_without_distortion_is_its_only_face():
+def test_a_pinhole_camera_without_distortion_is_rendered_from_a_single_face():
     camera = PinholeCamera(name="front", model="pinhole", width=64, height=48, fx_px=40, cx_px=20, mount=Mount(z_m=1))
     plan = plan_faces(camera)
     (face,) = plan.faces
@@ -33,7 +33,7 @@ def test_a_fisheye_camera_has_as_many_faces_as_it_needs(fov_deg: float, faces: i
     assert len(plan.faces) == faces
 
 
-def test_weights_of_every_pixel_add_up_to_256_and_stay_in_the_atlas():
+def test_weights_of_every_pixel_add_up_to_256_and_samples_are_inside_the_atlas():
     plan = plan_faces(EquirectangularCamera(name="around", model="equirectangular", width=64, height=32))
     sampling = plan.sampling
     assert sampling is not None

@@ -33,7 +33,7 @@ def target_at(x: float, y: float, side: float = 0.4) -> Target:
     )
 
 
-def test_cell_and_centre_are_inverse() -> None:
+def test_the_conversions_between_cell_and_centre_are_inverse() -> None:
     grid = grid_of()
     cells = np.array([[0, 0], [5, 17], [119, 3]])
     assert (grid.cell_of(grid.centre_of(cells)) == cells).all()
@@ -43,7 +43,7 @@ def test_row_is_y_and_column_is_x() -> None:
     assert grid_of().cell_of((-2.99, -2.8)).tolist() == [4, 0]
 
 
-def test_outside_of_the_grid_is_occupied() -> None:
+def test_space_outside_of_the_grid_counts_as_occupied() -> None:
     grid = grid_of()
     assert grid.clearance_at((10.0, 0.0)) == 0.0
     assert grid.clearance_at((-2.99, 0.0)) == pytest.approx(0.05)
@@ -72,7 +72,7 @@ def test_margin_widens_the_footprint() -> None:
     assert not lane.is_pose_free(0.0, 0.0, 0.0, margin_m=0.15)
 
 
-def test_many_poses_agree_with_single_ones() -> None:
+def test_the_check_of_many_poses_agrees_with_single_checks() -> None:
     grid = grid_of((1.0, -1.0, 1.5, 1.0))
     rng = np.random.default_rng(1)
     x, y, yaw = rng.uniform(-2, 2, 50), rng.uniform(-2, 2, 50), rng.uniform(-3, 3, 50)

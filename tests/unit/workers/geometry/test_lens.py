@@ -94,7 +94,7 @@ def test_the_image_circle_has_the_field_of_view():
         ((1e-9, 0, -1), (512, 128)),  # behind
     ],
 )
-def test_a_panorama_has_ahead_in_the_middle_and_right_to_the_right(point, pixel):
+def test_the_middle_of_a_panorama_is_ahead_and_its_right_part_is_to_the_right(point, pixel):
     assert project(PANORAMA, np.array(point, float)) == pytest.approx(pixel, abs=1e-4)
 
 

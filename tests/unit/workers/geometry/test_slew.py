@@ -43,7 +43,7 @@ def test_a_stop_ends_at_exactly_zero() -> None:
     assert slew(Twist(0.05, 0.01), Twist(0.0, 0.0), ROBOT, DT) == Twist(0.0, 0.0)
 
 
-def test_a_reversal_brakes_to_a_stop_before_it_turns_back() -> None:
+def test_a_reversal_brakes_to_a_stop_before_it_accelerates_backwards() -> None:
     assert slew(Twist(0.1, 0.0), Twist(-1.0, 0.0), ROBOT, DT).v_mps == 0.0
     assert slew(Twist(0.0, 0.0), Twist(-1.0, 0.0), ROBOT, DT).v_mps == pytest.approx(-2.5 * DT)
 

@@ -21,7 +21,7 @@ def geodesic(start: tuple[float, float], *extra: Box, radius_m: float = 1.0) -> 
 
 
 @pytest.mark.parametrize("start", [(-1.5, 0.0), (2.5, -2.0), (0.4, -2.4), (3.4, -1.1)])
-def test_a_free_straight_line_counts_as_its_length(start):
+def test_the_distance_along_a_free_straight_line_is_its_length_to_the_success_circle(start):
     assert geodesic(start) == pytest.approx(math.dist(start, (2.5, 1.3)) - 1.0, abs=1e-6)
 
 

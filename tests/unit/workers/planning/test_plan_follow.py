@@ -108,7 +108,7 @@ def test_interpolation_at_one_place_equals_that_of_numpy_bit_for_bit():
             assert interpolate(place, places.tolist(), values.tolist()) == np.interp(place, places, values)
 
 
-def test_the_nearest_point_is_searched_at_the_places_of_linspace():
+def test_the_nearest_point_is_searched_at_the_points_of_numpy_linspace():
     (leg,) = legs_of(STRAIGHT)
     for along_m in (0.0, 0.137, 1.55, 1.9999, leg.length_m):
         places = np.linspace(along_m, min(along_m + 0.5, leg.length_m), 26)

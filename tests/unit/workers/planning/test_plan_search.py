@@ -97,7 +97,7 @@ def test_a_start_in_the_circle_with_sight_has_an_empty_path():
     assert length_of(path) == 0.0
 
 
-def test_headings_and_yaws_are_inverse():
+def test_the_conversions_between_headings_and_yaws_are_inverse():
     assert [heading_of(yaw_at(heading)) for heading in range(HEADINGS)] == list(range(HEADINGS))
 
 

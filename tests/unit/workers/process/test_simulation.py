@@ -24,7 +24,7 @@ def first_report(simulation: Simulation) -> object:
     return report
 
 
-def test_a_start_may_take_longer_than_the_silence_of_a_busy_process() -> None:
+def test_a_start_may_take_longer_than_the_permitted_silence_of_a_busy_process() -> None:
     report = first_report(Simulation((sys.executable, "-S", "-c", SLOW_START), hang_s=0.1))
     assert getattr(report, "kind", None) is SimulationReportKind.READY
 

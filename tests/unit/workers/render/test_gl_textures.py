@@ -69,7 +69,7 @@ def test_an_array_with_copied_layers_equals_one_with_new_layers(context: moderng
     assert context.error == "GL_NO_ERROR"
 
 
-def test_a_released_array_is_not_copied_from(context: moderngl.Context) -> None:
+def test_layers_are_not_copied_from_a_released_array(context: moderngl.Context) -> None:
     layers = some_layers(2)
     store = TextureStore(context)
     store.upload(layers).release()

@@ -44,7 +44,7 @@ def test_only_parts_that_are_wholly_behind_a_wall_are_hidden(box: Box, is_hidden
     assert 1 not in hidden_in(scene)
 
 
-def test_a_wall_hides_nothing_from_its_back_or_across_the_near_plane() -> None:
+def test_a_wall_hides_nothing_from_a_camera_inside_it_or_closer_than_the_near_plane() -> None:
     scene = build_scene([WALL, Box((3.0, -0.5, 0.0), (3.5, 0.5, 1.0))])
     assert hidden_in(scene, Pose.planar(2.05 - CAMERA.x_m, 0.0, 0.0)) == set()
     assert hidden_in(scene, Pose.planar(1.97 - CAMERA.x_m, 0.0, 0.0)) == set()

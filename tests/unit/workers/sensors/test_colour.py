@@ -106,7 +106,7 @@ def test_renders_are_spread_over_the_exposure_before_the_step() -> None:
 @pytest.mark.parametrize("noise", [
     ColourNoise(motion_blur_s=0.02), ColourNoise(rolling_shutter_s=0.02),
     ColourNoise(motion_blur_s=0.01, rolling_shutter_s=0.015, shutter_images=13)])  # fmt: skip
-def test_weights_of_a_row_add_up_to_1_and_begin_later_further_down(noise: ColourNoise) -> None:
+def test_weights_of_a_row_add_up_to_1_and_lower_rows_are_exposed_later(noise: ColourNoise) -> None:
     weights = row_weights(noise, 480)
     assert weights.sum(axis=0) == pytest.approx(1)
     centres = weights.T @ np.arange(noise.shutter_images)

@@ -62,7 +62,7 @@ def test_structured_light_has_the_depth_steps_that_are_published_for_the_kinect(
     assert steps == pytest.approx(16 * 0.125 / (585 * 0.075), rel=0.05)
 
 
-def test_noise_leaves_no_trace_when_all_parameters_are_zero() -> None:
+def test_noise_changes_no_measured_depth_when_all_parameters_are_zero() -> None:
     noise = stereo(disparity_std_px=0.0, disparity_step_px=0.0)
     depth = object_before_a_wall()
     seen = noisy_depth(depth, noise, FOCAL_PX, KEY, 0)
@@ -90,7 +90,7 @@ def test_a_second_camera_on_the_left_gives_the_mirrored_image() -> None:
     assert (hidden(disparity, "left") == hidden(disparity[:, ::-1], "right")[:, ::-1]).all()
 
 
-def test_occlusion_is_that_of_projecting_every_pixel_into_the_second_image() -> None:
+def test_occlusion_equals_the_result_of_projecting_every_pixel_into_the_second_image() -> None:
     rng = np.random.default_rng(3)
     disparity = np.repeat(rng.uniform(1, 30, (20, 12)), 8, axis=1).astype(np.float32)
     columns = np.arange(disparity.shape[1])
@@ -131,12 +131,12 @@ def test_the_share_of_lost_pixels_at_edges_is_the_parameter() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 1.0])
-def test_holes_cover_the_share_and_are_spots(share: float) -> None:
+def test_holes_cover_the_given_share_in_spots_of_several_pixels(share: float) -> None:
     found = np.array([holes((640, 640), share, KEY, step) for step in range(4)])
     assert found.mean() == pytest.approx(share, abs=0.15 * share + 1e-9)
     if 0 < share < 0.1:
         borders = (found[:, :, 1:] != found[:, :, :-1]).mean()
-        assert borders < found.mean() / 3  # with holes of single pixels, it would be twice the share of holes
+        assert borders < found.mean() / 3  # holes of single pixels would have borders of twice their share
 
 
 def test_holes_differ_between_steps() -> None:
@@ -172,7 +172,7 @@ def test_displaced_pixels_take_their_depth_from_a_neighbour() -> None:
     assert near.all()
 
 
-def test_displacements_have_the_standard_deviation() -> None:
+def test_displacements_have_the_given_standard_deviation() -> None:
     ramp = np.tile(np.arange(400, dtype=np.float32), (400, 1))
     offsets = (shifted(ramp, 1.5, KEY, 0) - ramp)[20:-20, 20:-20]
     assert offsets.std() == pytest.approx(np.sqrt(1.5**2 + 1 / 12), rel=0.05)  # rounded to whole pixels

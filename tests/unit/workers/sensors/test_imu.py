@@ -108,7 +108,7 @@ def test_measurements_are_limited_to_the_range_of_the_sensor() -> None:
     assert found.specific_force.max() == 5.0
 
 
-def test_a_mounting_rotation_is_that_of_fixed_axes_x_y_z() -> None:
+def test_a_mounting_rotates_about_the_fixed_axes_x_y_and_z_in_this_order() -> None:
     turn = mount_rotation(Mount(roll_deg=90, yaw_deg=90))
     assert turn @ (0, 0, 1) == pytest.approx((1, 0, 0), abs=1e-12)  # roll turns z to -y, yaw turns -y to x
 
@@ -122,7 +122,7 @@ def allan_deviation(values: Floats, cluster: int) -> Floats:
     return np.asarray(np.sqrt((np.diff(means, axis=0) ** 2).mean(axis=0) / 2))
 
 
-def test_white_noise_has_the_density_and_falls_with_the_square_root_of_time() -> None:
+def test_white_noise_has_the_given_density_and_its_allan_deviation_falls_with_the_square_root_of_time() -> None:
     noise = ImuNoise(gyro_white=1e-3, gyro_walk=0, accelerometer_white=2e-2, accelerometer_walk=0)
     errors = imu_errors(noise, 100_000, HZ, KEY)
     densities = np.repeat((1e-3, 2e-2), 3)
@@ -132,7 +132,7 @@ def test_white_noise_has_the_density_and_falls_with_the_square_root_of_time() ->
         assert found == pytest.approx(densities / math.sqrt(seconds), rel=0.1)
 
 
-def test_random_walk_grows_with_the_square_root_of_time() -> None:
+def test_the_allan_deviation_of_a_random_walk_grows_with_the_square_root_of_time() -> None:
     noise = ImuNoise(gyro_white=0, gyro_walk=3e-3, accelerometer_white=0, accelerometer_walk=4e-2)
     errors = imu_errors(noise, 200_000, HZ, KEY)
     walks = np.repeat((3e-3, 4e-2), 3)
@@ -147,7 +147,7 @@ def test_the_bias_at_the_start_differs_between_episodes() -> None:
     assert firsts[:, :3].std() == pytest.approx(0.01, rel=0.1)
 
 
-def test_noise_does_not_change_a_measurement_of_a_perfect_imu() -> None:
+def test_noise_of_zero_changes_no_measurement() -> None:
     silent = ImuNoise(gyro_white=0, gyro_walk=0, accelerometer_white=0, accelerometer_walk=0)
     poses = wandering()
     a, b = sense_imu(imu(), poses, HZ, KEY), sense_imu(imu(noise=silent), poses, HZ, KEY)

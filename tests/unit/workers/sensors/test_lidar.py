@@ -135,7 +135,7 @@ def test_a_ray_ends_at_a_front_face_and_passes_through_a_back_face(
     assert scan.ranges[0, 0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_a_ray_that_grazes_a_back_face_ends() -> None:
+def test_tracing_a_ray_that_grazes_back_faces_terminates() -> None:
     backs = [
         facing([(x, y, z + 1e-6 * x) for x, y, z in [(-3, -1, h), (3, -1, h), (3, 1, h), (-3, 1, h)]])
         for h in (0.3,) * 40
@@ -158,7 +158,7 @@ def test_triangles_outside_of_all_parts_are_not_drawn_and_not_hit() -> None:
 # Motion -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_scan_of_a_moving_robot_sees_each_direction_from_where_the_robot_was() -> None:
+def test_a_scan_of_a_moving_robot_sees_each_direction_from_the_position_at_that_time() -> None:
     steps = np.arange(13)
     poses = standing(steps=13)
     poses[:, 0] = 0.02 * steps  # a speed of 1.2 m/s
@@ -177,7 +177,7 @@ def test_a_scan_at_rest_does_not_depend_on_the_sweep() -> None:
     assert swept.ranges == pytest.approx(still.ranges, abs=1e-6)
 
 
-def test_a_scan_before_the_first_steps_takes_the_start_for_the_past() -> None:
+def test_a_scan_at_the_first_step_assumes_a_robot_at_rest_before_the_start() -> None:
     noise = QUIET.model_copy(update={"sweep_s": 0.1})
     scan = sense_lidar(empty_room(), lidar2d(noise=noise), standing(), 0, HZ, KEY)
     assert scan.ranges[0, 180] == pytest.approx(4.0, abs=1e-5)
@@ -221,7 +221,7 @@ def test_a_weak_return_is_lost(distance: float, incidence_deg: float, is_seen: b
     assert ((noisy_ranges(scan, noise, KEY, 0) > 0) == is_seen).all()
 
 
-def test_noise_depends_on_the_step_and_not_on_the_order() -> None:
+def test_noise_depends_on_the_step_and_not_on_the_order_of_calls() -> None:
     noise, scan = LidarNoise(dropout=0.1), wall_scan(5.0)
     third = noisy_ranges(scan, noise, KEY, 3)
     assert (noisy_ranges(scan, noise, KEY, 4) != third).any()

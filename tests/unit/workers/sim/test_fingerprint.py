@@ -7,7 +7,7 @@ import numpy as np
 from workers.sim.fingerprint import make_fingerprint
 
 
-def test_fingerprint_names_the_software_that_shapes_the_bytes() -> None:
+def test_fingerprint_names_the_software_that_determines_the_bytes() -> None:
     software = make_fingerprint("some renderer").software
     assert software["numpy"] == np.__version__
     assert {"minivla-factory", "python", "pybullet", "moderngl", "zstandard", "isal"} <= set(software)

@@ -166,7 +166,7 @@ def is_line_free(place: LoadedScene, start: tuple[float, float, float]) -> bool:
 
 
 @pytest.mark.parametrize("tier", [Tier.NEAR, Tier.MID])
-def test_blind_starts_are_behind_walls_as_often_as_the_free_floor_is(tier: Tier) -> None:
+def test_blind_starts_are_behind_walls_in_proportion_to_the_free_floor_there(tier: Tier) -> None:
     place = divided_room()
     starts = starts_of(place, 60, tier=tier, **screened(Screening.NONE))
     assert len(starts) == 60
@@ -178,7 +178,7 @@ def test_blind_starts_are_behind_walls_as_often_as_the_free_floor_is(tier: Tier)
 
 
 @pytest.mark.parametrize("tier", [Tier.NEAR, Tier.MID])
-def test_blind_starts_in_sight_are_on_the_side_of_the_target_with_or_without_a_free_line(tier: Tier) -> None:
+def test_starts_with_screening_sight_see_the_target_with_or_without_a_free_line(tier: Tier) -> None:
     wall = (Box((-9.0, 1.2, 0.0), (4.0, 1.4, 2.5)), Box((5.2, 1.2, 0.0), (9.0, 1.4, 2.5)))
     bench = Box((-1.2, -0.9, 0.0), (1.2, -0.7, 0.4))  # lower than the line of sight
     place = prepare_scene(build_scene((*room_walls((-9.0, -9.0), (9.0, 9.0)), CRATE, *wall, bench)))
@@ -228,7 +228,7 @@ def test_far_starts_keep_to_their_range_along_the_floor(expert: ExpertName, scre
         assert low <= min(floor_m)
         assert max(floor_m) <= high
         detours += [floor - math.hypot(x, y) for floor, (x, y, _) in zip(floor_m, starts, strict=True)]
-    assert (max(detours) > 0.05) == (screening is Screening.NONE or expert is ExpertName.PLANNER)  # detours
+    assert (max(detours) > 0.05) == (screening is Screening.NONE or expert is ExpertName.PLANNER)
 
 
 def test_a_room_of_three_metres_has_no_far_start() -> None:

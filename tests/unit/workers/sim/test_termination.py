@@ -29,7 +29,7 @@ def test_motion_inside_the_radius_restarts_the_hold():
     assert [termination.evaluate(0.1, 0.0, 0.9, False, 0.0) for _ in range(5)][-1] is EndReason.SUCCESS
 
 
-def test_a_stall_needs_command_no_progress_and_an_obstacle():
+def test_a_stall_needs_a_command_an_obstacle_and_no_progress():
     def run(commanded: float, blocked: bool) -> EndReason | None:
         termination = Termination(TASK)
         ends = [termination.evaluate(0.0, 0.0, 5.0, blocked, commanded) for _ in range(40)]

@@ -51,7 +51,7 @@ def _categories(plan: Plan, **conditions: object) -> Counter[str]:
     return Counter(s.category for s in specs if all(getattr(s, key) == value for key, value in conditions.items()))
 
 
-def test_the_plan_balanced_has_equal_categories_over_all_scenes_and_in_every_split():
+def test_the_plan_balanced_has_equal_category_counts_over_all_scenes_and_in_every_split():
     counts = _categories(BALANCED)
     assert sorted(counts.values()) == [30] * 4 + [135] * 8
     assert sum(count for _, count in counts.most_common(3)) <= 0.35 * BALANCED.episodes
@@ -65,7 +65,7 @@ def test_every_scene_of_the_plan_balanced_has_each_of_its_categories_in_training
 
 
 @pytest.mark.parametrize("episodes", [24, 40, 120, 240])
-def test_a_reduced_balanced_plan_differs_by_one_episode_between_categories(episodes):
+def test_category_counts_of_a_reduced_balanced_plan_differ_by_at_most_one(episodes):
     plan = shrink(BALANCED, episodes=episodes)
     counts = _categories(plan)
     held_out = {name for scene in plan.scenes for name in scene.categories.held_out}
@@ -81,7 +81,7 @@ def test_levelling_keeps_the_exact_quota_of_every_cell():
         assert of_scene == cells(plan, scene)
 
 
-def test_categories_that_only_one_scene_has_are_drawn_in_this_scene_and_shared_categories_in_other_scenes():
+def test_balance_over_all_scenes_draws_a_shared_category_in_scenes_without_other_categories():
     train = {Split.TRAIN_ID: 1.0}
     scenes = (
         ScenePlan(name="office", episodes=30, seen=("chair", "sofa", "table")),
@@ -102,7 +102,7 @@ def test_redraws_of_an_even_plan_keep_the_category_for_the_first_half_of_the_dra
             assert following.episode.category == job.episode.category
 
 
-def test_a_single_instance_of_a_category_is_drawn_again_with_another_template_for_an_even_plan():
+def test_the_redraw_of_an_even_plan_changes_the_template_if_the_category_has_a_single_instance():
     plan = Plan(
         name="x",
         scenes=(ScenePlan(name="hospital", episodes=4),),

@@ -41,7 +41,7 @@ def hire(connection: Connection, sid: str, host: str = "a") -> int:
     return HIRE.count(connection, worker)
 
 
-def test_rows_have_names_and_changes_are_counted(engine):
+def test_columns_of_a_row_are_attributes_and_changed_rows_are_counted(engine):
     with engine.begin() as connection:
         assert [hire(connection, "a.1"), hire(connection, "a.2"), hire(connection, "b.1", "b")] == [1, 1, 1]
         assert GROW.count(connection, {"at": "a"}) == 2
@@ -51,7 +51,7 @@ def test_rows_have_names_and_changes_are_counted(engine):
         assert SLOTS.first(connection, {"by": "nobody"}) is None
 
 
-def test_a_row_is_what_sqlalchemy_returns(engine):
+def test_a_row_equals_the_row_that_sqlalchemy_returns(engine):
     with engine.begin() as connection:
         row = {"idx": 7, "draw": 0, "scene": "s", "tier": "near", "split": "train", "category": "c", "target_id": "t"}
         row |= {"colour": "red", "template_id": "x", "instruction": "Go.", "state": JobState.PENDING, "size": 1 << 40}
@@ -68,7 +68,7 @@ def test_the_database_assigns_autoincremented_keys(engine):
         assert list(connection.execute(select(events.c.id).order_by(events.c.id)).scalars()) == [1, 2]
 
 
-def test_a_rollback_leaves_nothing_and_a_savepoint_keeps_the_rest(engine):
+def test_the_rollback_of_a_transaction_or_savepoint_removes_only_its_rows(engine):
     with engine.begin() as connection:
         hire(connection, "a.1")
         savepoint = connection.begin_nested()
@@ -93,7 +93,7 @@ def test_a_missing_parameter_is_named(engine):
         SLOTS.first(connection, {})
 
 
-def test_a_statement_that_returns_a_flag_is_refused():
+def test_a_statement_that_returns_a_boolean_column_is_refused():
     with pytest.raises(TypeError, match="must not return Boolean columns; requested: id, superseded"):
         PreparedStatement(select(jobs.c.id, jobs.c.superseded))
 

@@ -45,7 +45,7 @@ def held_back(writer: Writer) -> threading.Event:
     return gate
 
 
-def test_a_failing_request_does_not_affect_its_group_commit(engine):
+def test_a_failing_request_does_not_affect_the_other_requests_of_its_group_commit(engine):
     with Writer(engine) as writer:
         gate = held_back(writer)
         futures = [writer.submit(work) for work in (put("a"), put("b", ValueError("poison")), put("c"), put("a"))]

@@ -1,4 +1,4 @@
-"""Errors in the arguments of `factory eval`, each refused by name before an episode runs."""
+"""Mistakes in the arguments of `factory eval`: an error names each of them before an episode runs."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def test_the_papers_values_are_printed_beside_the_measured_ones() -> None:
     assert row_of(found.scenes, "all").paper.steps_median == 177
 
 
-def test_categories_are_counted_most_frequent_first() -> None:
+def test_categories_are_listed_in_order_of_decreasing_frequency() -> None:
     found = measure([episode_row(1), episode_row(2), episode_row(3, target_category="sofa")])
     assert [(row.group, row.n) for row in found.categories[:2]] == [("chair", 2), ("sofa", 1)]
     assert row_of(found.categories, "whiteboard").kind == "held out"
@@ -167,7 +167,7 @@ def test_the_path_of_a_far_start_has_a_corner_if_it_is_longer_than_the_straight_
     assert (found.mean_m, found.short.count, found.corner.count) == (5.5, 0, 1)
 
 
-def test_means_have_a_t_interval_from_two_episodes_on() -> None:
+def test_means_of_at_least_two_episodes_have_a_t_interval() -> None:
     found = measure([episode_row(n, num_steps=steps) for n, steps in enumerate((100, 200, 300), 1)])
     half = 4.302653 * 100 / 3**0.5
     assert row_of(found.tiers, "near").steps_interval == pytest.approx((200 - half, 200 + half))
@@ -256,7 +256,7 @@ def resplit(root: Path, splits: list[str]) -> None:
     pq.write_table(type(table).from_pylist(rows, schema=table.schema), root / "metadata.parquet")
 
 
-def test_a_shared_instance_despite_the_separation_option_is_damage(own: Path) -> None:
+def test_an_instance_that_is_shared_despite_the_separation_option_is_damage(own: Path) -> None:
     resplit(own, ["train_id", "test_id", "test_id"])
     describe(own, shared_instances={"office": []})
     found = measure_dataset(own)
@@ -265,7 +265,7 @@ def test_a_shared_instance_despite_the_separation_option_is_damage(own: Path) ->
     assert "1 instances are in training and evaluation, contrary to the plan: office chair_001" in text
 
 
-def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
+def test_an_instance_that_must_be_shared_is_reported_in_a_note(own: Path) -> None:
     describe(own, shared_instances={"office": ["chair"]})
     found = measure_dataset(own)
     assert found.is_sound
@@ -371,7 +371,7 @@ def test_the_command_exits_with_1_on_damage_and_names_the_omitted_rows(own: Path
     assert "damage: episodes: 1 episodes skipped" in done.stderr
 
 
-def test_navigation_errors_are_reported_by_both_measures_and_start_distances_by_that_of_the_plan() -> None:
+def test_both_navigation_errors_are_reported_and_start_distances_use_the_measure_of_the_plan() -> None:
     by_surface = two_scenes().model_copy(update={"task": TaskConfig(success=SuccessMeasure.SURFACE)})
     rows = [
         episode_row(n, final_ne_m=1.6, final_surface_m=0.9 + n / 100, spawn_surface_m=n, trajectory_length_m=0.5 * n)

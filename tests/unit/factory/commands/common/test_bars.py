@@ -1,4 +1,4 @@
-"""Progress without a terminal: occasional log lines, and none on a terminal or without active work."""
+"""Progress of active work: occasional log lines without a terminal, and a bar without log lines on a terminal."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ LONG_NOTE = "1052 episodes/h, 14 min 10 s left, 2 running, 13 failed attempts"
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
-def test_counts_times_and_notes_are_whole_on_a_narrow_terminal(width: int) -> None:
+def test_a_narrow_terminal_shows_counts_times_and_notes_in_full(width: int) -> None:
     text = StringIO()
     console = Console(file=text, force_terminal=True, width=width, color_system=None)
     with Bars(console=console, refresh_per_second=0.01) as bar:

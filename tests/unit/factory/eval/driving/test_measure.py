@@ -22,7 +22,7 @@ def track_through(*points: tuple[float, float], stand: int = 0) -> np.ndarray:
     return np.array(rows, float)
 
 
-def test_spl_is_the_shortest_over_the_driven_length_and_zero_without_success() -> None:
+def test_spl_is_the_ratio_of_shortest_to_driven_length_and_zero_without_success() -> None:
     assert measure.spl(True, 4.0, 5.0) == pytest.approx(0.8)
     assert measure.spl(True, 4.0, 3.9) == 1.0  # the shortest path is approximate, so a drive can be shorter
     assert measure.spl(False, 4.0, 4.0) == 0.0
@@ -40,7 +40,7 @@ def test_progress_is_the_covered_share_of_the_start_distance() -> None:
     assert measure.progress(4.0, 5.0) == pytest.approx(-0.25)
 
 
-def test_progress_is_measured_at_the_end_at_the_closest_point_and_outside_the_circle() -> None:
+def test_progress_is_measured_at_the_end_and_at_the_closest_point_and_normalised_to_the_circle() -> None:
     found = progresses(start_m=4.0, final_m=3.0, least_m=2.0, task=TASK)
     assert found == pytest.approx({"progress_final": 0.25, "progress_max": 0.5, "progress_normalised": 2 / 3})
     assert progresses(4.0, 0.9, 0.9, TASK)["progress_normalised"] == 1.0
@@ -55,7 +55,7 @@ def test_path_length_adds_up_the_steps_in_the_plane() -> None:
     ("stand", "at", "stopped"),
     [(5, (0.9, 0.0), True), (4, (0.9, 0.0), False), (9, (1.1, 0.0), False), (5, (1.0, 0.0), True)],
 )
-def test_a_stop_counts_inside_the_radius_and_held_for_five_frames(
+def test_a_stop_counts_if_it_is_inside_the_radius_and_lasts_five_frames(
     stand: int, at: tuple[float, float], stopped: bool
 ) -> None:
     track = track_through((2.0, 0.0), at, stand=stand)
@@ -75,7 +75,7 @@ def test_any_instance_success_counts_only_objects_of_the_category() -> None:
     assert not measure.stops_at_any(track, (CRATE,), "crate", TASK)
 
 
-def test_floor_distance_goes_around_and_starts_beside_furniture_at_the_nearest_floor() -> None:
+def test_floor_distance_starts_at_the_nearest_floor_beside_a_wall_and_is_none_outside_of_the_room() -> None:
     grid = Grid.from_scene(box_room())
     open_floor = measure.floor_distance_m(grid, (0.0, 0.0), CRATE, TASK)
     straight = float(np.hypot(*np.array(CRATE.centroid_m[:2]))) - 1.0

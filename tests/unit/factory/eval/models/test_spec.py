@@ -15,7 +15,7 @@ from tests.builders.eval_results import spec_of, specs_of
 SET = specs_of(*(spec_of(n, split=Split.TEST_ID if n % 2 else Split.TEST_OOD_OBJ) for n in range(1, 11)))
 
 
-def test_a_file_of_specs_reads_back_as_it_was_written(tmp_path: Path) -> None:
+def test_a_file_of_specs_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     write_specs(SET, tmp_path / "s.json")
     assert read_specs(tmp_path / "s.json") == SET
     assert read_specs(tmp_path / "s.json").digest == SET.digest
@@ -51,7 +51,7 @@ def test_two_specs_with_one_name_are_refused() -> None:
         (json.dumps({"format": SPECS_FORMAT + 1}), "upgrade minivla-factory"),
     ],
 )
-def test_an_invalid_file_is_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
+def test_the_error_of_an_invalid_file_names_the_file(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.json"
     path.write_text(text)
     with pytest.raises(UsageError, match=message) as caught:

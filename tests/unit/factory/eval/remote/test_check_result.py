@@ -122,7 +122,7 @@ def checked_result(tmp_path: Path, data: bytes) -> Any:
     return ResultValidator({1: TASK}).check(path, job_for(1), (TARGET,))
 
 
-def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path) -> None:
+def test_a_valid_bundle_gets_a_receipt_that_does_not_depend_on_wall_clocks(tmp_path: Path) -> None:
     data = bundle_of(arrived())
     receipt = checked_result(tmp_path, data)
     assert (receipt.index, receipt.num_steps, receipt.file_bytes) == (1, STEPS, len(data))

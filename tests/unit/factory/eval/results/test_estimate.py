@@ -9,7 +9,7 @@ from scipy import stats
 from factory.eval.results.estimate import mcnemar_p, mean_of, means_of
 
 
-def test_an_interval_is_that_of_the_bca_bootstrap() -> None:
+def test_an_interval_agrees_with_the_bca_bootstrap_of_scipy() -> None:
     values = np.random.default_rng(1).gamma(2.0, 1.0, 60)
     found = mean_of(values.tolist())
     reference = stats.bootstrap(

@@ -43,7 +43,7 @@ def test_a_policy_is_reported_as_always_failing_only_when_every_episode_failed()
     assert not score_policy("m:P", [], NOTE).only_failed
 
 
-def test_the_page_quotes_the_failure_without_its_markup() -> None:
+def test_the_page_escapes_the_markup_in_a_failure() -> None:
     evaluation = evaluation_of("m:P")
     raised = result_of(1, success=False, end=EvalEnd.POLICY_RAISED, detail="ValueError: <b>")
     scores = score_policy("m:P", [raised], NOTE)

@@ -88,7 +88,7 @@ def test_an_unrelated_directory_is_not_changed(tmp_path: Path) -> None:
         store_in(tmp_path)
 
 
-def test_a_newer_format_is_refused_by_its_number(tmp_path: Path) -> None:
+def test_the_error_of_a_newer_format_names_its_number(tmp_path: Path) -> None:
     store_in(tmp_path)
     path = tmp_path / "evaluation.json"
     path.write_text(path.read_text().replace(f'"format": {RESULTS_FORMAT}', f'"format": {RESULTS_FORMAT + 1}'))
@@ -123,7 +123,7 @@ def test_a_comparison_uses_the_only_policy_or_requires_a_name(tmp_path: Path) ->
         read_policy_folder(tmp_path / "policies" / "random")
 
 
-def test_a_note_of_a_policy_reads_back(tmp_path: Path) -> None:
+def test_a_note_of_a_policy_is_read_back(tmp_path: Path) -> None:
     note = PolicyNote(policy="stop", knows="nothing", reads_instruction=False, renderer="x", software={"a": "1"})
     with store_in(tmp_path) as store:
         assert store.note_of("stop") is None

@@ -60,7 +60,7 @@ def test_an_impossible_ablation_is_reported() -> None:
         instructions(specs_of(spec_of(1, category="crate")), Variant.WRONG, alone)
 
 
-def test_a_donor_is_another_archived_episode() -> None:
+def test_the_playback_source_of_an_episode_is_another_archived_episode() -> None:
     found = playback_sources(SET)
     assert set(found) == {spec.spec_id for spec in SET.specs}
     assert all(found[spec.spec_id] != spec.source_episode for spec in SET.specs)

@@ -25,13 +25,13 @@ def arc(v: float, w: float, steps: int, hz: int, yaw: float = 0.0) -> np.ndarray
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0, -3.1])
-def test_a_straight_drive_is_measured_along_the_robots_x(yaw):
+def test_a_straight_drive_is_measured_along_the_x_axis_of_the_robot(yaw):
     twists = measured_twists(arc(0.5, 0.0, 30, 60, yaw), 60)
     np.testing.assert_allclose(twists[1:], [[0.5, 0.0]] * 29, atol=2e-4)
     assert tuple(twists[0]) == (0.0, 0.0)
 
 
-def test_a_turn_across_half_a_circle_has_no_jump():
+def test_measured_twists_do_not_jump_where_the_yaw_wraps():
     twists = measured_twists(arc(0.0, 1.5, 60, 60, yaw=3.0), 60)
     np.testing.assert_allclose(twists[1:], [[0.0, 1.5]] * 59, atol=2e-4)
 

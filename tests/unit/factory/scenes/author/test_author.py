@@ -118,7 +118,7 @@ def test_scene_stays_below_its_triangle_budget(name: str, layouts: Layouts) -> N
     assert sum(triangle_count(piece.mesh) for piece in pieces) < 62_000
 
 
-def test_seed_without_a_valid_plan_names_the_last_fault_and_the_remedy() -> None:
+def test_the_error_of_a_seed_without_a_valid_plan_names_the_last_fault_and_the_remedy() -> None:
     def lay_out(_plan: FloorPlan) -> None:
         raise WorldError("room for only 2 racks")
 
@@ -191,7 +191,7 @@ def test_office_is_authored_in_centimetres_and_z_up(office: Path) -> None:
     assert {scene.metres_per_unit for scene in BUILTIN_SCENES.values()} == {1.0}
 
 
-def test_props_are_referenced_instanced_and_payloaded_and_all_resolve(office: Path) -> None:
+def test_props_are_instances_payloads_and_plain_references_and_all_have_meshes(office: Path) -> None:
     stage = pxr_usd.Stage.Open(str(office))
     props = stage.GetPrimAtPath("/World/Props").GetChildren()
     assert {(prop.IsInstanceable(), prop.HasAuthoredPayloads()) for prop in props} == {

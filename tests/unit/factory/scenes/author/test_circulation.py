@@ -95,7 +95,7 @@ def test_a_row_fills_its_block_with_rooms_of_permitted_proportions() -> None:
         (Rectangle(0.0, 0.0, 30.0, 8.5), "rooms of twice the desired floor"),
     ],
 )
-def test_a_row_that_does_not_fit_its_rooms_has_no_widths(area: Rectangle, reason: str) -> None:
+def test_rooms_that_do_not_fit_into_a_row_get_no_widths(area: Rectangle, reason: str) -> None:
     assert row_widths(area, SPECS[2:6]) is None, reason
 
 

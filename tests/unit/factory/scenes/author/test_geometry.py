@@ -58,7 +58,7 @@ def test_solid_is_closed_and_wound_outwards(name: str) -> None:
     assert all((b, a) in edges for a, b in edges)
 
 
-def test_an_open_block_has_the_named_faces_of_a_block() -> None:
+def test_an_open_block_has_only_the_named_faces() -> None:
     outwards = {"S": (0, -1, 0), "E": (1, 0, 0), "N": (0, 1, 0), "W": (-1, 0, 0), "B": (0, 0, -1), "T": (0, 0, 1)}
     for name, direction in outwards.items():
         face = open_block((0, 0, 0), (1, 2, 3), name)
@@ -71,7 +71,7 @@ def test_an_open_block_has_the_named_faces_of_a_block() -> None:
     assert len(whole.st) == 24
 
 
-def test_an_uncapped_rod_lacks_its_two_ends_only() -> None:
+def test_an_uncapped_rod_lacks_only_its_two_ends() -> None:
     rod_mesh = rod((0, 0, 0), (0, 0, 1), 0.1, 5)
     open_rod = uncapped(rod_mesh)
     assert open_rod.counts.tolist() == [4] * 5
@@ -84,7 +84,7 @@ def test_card_is_seen_from_both_sides() -> None:
     assert leaf.indices.tolist() == [0, 1, 2, 2, 1, 0]
 
 
-def test_projected_texture_coordinates_are_metres_over_the_tile_size() -> None:
+def test_projected_texture_coordinates_are_metres_divided_by_the_tile_size() -> None:
     joined = merge([block((0, 0, 0), (1, 2, 3)), block((4, 0, 0), (5, 1, 1))], tile_m=0.5)
     assert joined.st is not None
     assert joined.st.shape == (48, 2)

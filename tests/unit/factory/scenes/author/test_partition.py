@@ -45,7 +45,7 @@ def test_rooms_tile_the_floor_and_can_all_be_entered(seed: int, hall_m: float | 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_no_bedroom_or_bath_is_entered_from_another_one(seed: int) -> None:
+def test_no_bedroom_or_bath_is_entered_from_another_bedroom_or_bath(seed: int) -> None:
     division = divide_floor(np.random.default_rng(seed), FLOOR, SPECS, Doors())
     for opening in division.openings:
         assert any(division.specs[room].is_hub for room in opening.rooms)
@@ -63,7 +63,7 @@ def test_an_opening_is_within_the_common_wall_of_its_rooms() -> None:
             assert opening.doorway.centre + half < span[1]
 
 
-def test_a_floor_without_room_for_its_rooms_raises_with_its_size() -> None:
+def test_the_error_of_a_floor_that_is_too_small_for_its_rooms_states_its_size() -> None:
     with pytest.raises(WorldError, match=r"5\.0 x 4\.0 m into 5 rooms was found"):
         divide_floor(np.random.default_rng(0), Rectangle(0.0, 0.0, 5.0, 4.0), SPECS, Doors())
 

@@ -34,7 +34,7 @@ def test_a_room_compiles_to_a_valid_package(tmp_path: Path) -> None:
     assert encode_scene(decode_scene(io.BytesIO(data))) == data
 
 
-def test_the_chair_is_the_one_target_and_is_reached_from_every_tier(tmp_path: Path) -> None:
+def test_the_chair_is_the_only_target_and_is_reached_from_every_tier(tmp_path: Path) -> None:
     (target,) = room(tmp_path).info.targets
     assert target.target_id == "chair_001"
     assert target.centroid_m == pytest.approx((2.0, 1.0, 0.45))
@@ -79,7 +79,7 @@ def test_the_same_stage_gives_the_same_bytes(tmp_path: Path) -> None:
     assert encode_scene(room(tmp_path)) == encode_scene(room(tmp_path))
 
 
-def test_parts_cover_all_vertices_once_and_carry_known_instances(tmp_path: Path) -> None:
+def test_parts_cover_all_vertices_once_and_belong_to_known_instances(tmp_path: Path) -> None:
     scene = room(tmp_path)
     ends = scene.part_first + scene.part_count
     assert scene.part_first.tolist() == [0, *ends[:-1].tolist()]
@@ -103,7 +103,7 @@ def test_no_spawn_is_below_a_shelf_on_legs(tmp_path: Path) -> None:
     assert not beneath.all(axis=1).any()
 
 
-def test_an_object_behind_a_wall_is_neither_visible_nor_a_target_from_there(tmp_path: Path) -> None:
+def test_an_object_on_a_wall_is_visible_only_from_its_side_of_the_wall(tmp_path: Path) -> None:
     wall = TEXT.box("Divider", (-0.1, -1.5, 0), (0, 3, 2.5)) + TEXT.box("SM_Board", (0.0, 1.0, 0.9), (0.04, 2.0, 1.6))
     scene = room(tmp_path, wall)
     column = [target.category for target in scene.info.targets].index("whiteboard")
@@ -221,12 +221,12 @@ def test_invalid_scene_names_are_refused(tmp_path: Path, name: str) -> None:
         import_scene(tmp_path / "room.usda", name, tmp_path)
 
 
-def test_an_unknown_builtin_scene_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+def test_the_error_of_an_unknown_builtin_scene_lists_the_known_scenes(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="full_warehouse"):
         build_scene("castle", 0, tmp_path)
 
 
-def test_package_paths_follow_name_and_seed(tmp_path: Path) -> None:
+def test_package_paths_differ_by_name_and_seed(tmp_path: Path) -> None:
     paths = {package_path(name, seed, tmp_path) for name in ("office", "hospital") for seed in (0, 1)}
     assert len(paths) == 4
 
@@ -249,7 +249,7 @@ def test_reading_the_cache_does_not_load_usd() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_table_too_wide_for_a_metre_to_its_centre_is_a_target_by_its_footprint(tmp_path: Path) -> None:
+def test_a_table_whose_centre_is_out_of_reach_is_a_target_by_its_footprint(tmp_path: Path) -> None:
     scene = room(tmp_path, TEXT.box("SM_KitchenTable", (-3.0, -1.4, 0.0), (-0.2, 1.2, 0.75)))
     table = next(target for target in scene.info.targets if target.category == "table")
     assert set(table.footprint_m) == {(-3.0, -1.4), (-0.2, -1.4), (-0.2, 1.2), (-3.0, 1.2)}

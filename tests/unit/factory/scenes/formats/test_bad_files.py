@@ -37,7 +37,9 @@ def write(path: Path, content: str | bytes) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply"])
-def test_a_file_without_unit_and_axis_names_both_options_and_its_sizes(tmp_path: Path, suffix: str) -> None:
+def test_the_error_of_a_file_without_unit_and_axis_names_both_options_and_the_size_for_each_unit(
+    tmp_path: Path, suffix: str
+) -> None:
     path = write_room(tmp_path, suffix)
     with pytest.raises(UsageError) as caught:
         extract_scene(path)
@@ -53,7 +55,7 @@ def test_a_file_without_unit_and_axis_names_both_options_and_its_sizes(tmp_path:
         extract_scene(path, StageLimits(unit="m"))
 
 
-def test_an_implausible_unit_is_refused_with_the_sizes_of_all_units(tmp_path: Path) -> None:
+def test_the_error_of_an_implausible_unit_states_the_size_for_each_unit(tmp_path: Path) -> None:
     path = write(tmp_path / "room.stl", stl_room())
     with pytest.raises(WorldError, match=r"room\.stl is 0\.0084 m wide.*8\.4 x 6\.4 x 2\.6 m with m.*--unit"):
         extract_scene(path, StageLimits(unit="mm", up="z"))
@@ -73,7 +75,7 @@ def test_a_truncated_glb_is_refused_at_every_length(tmp_path: Path) -> None:
             extract_scene(path)
 
 
-def test_a_buffer_view_beyond_the_buffer_is_refused_by_name_of_its_node(tmp_path: Path) -> None:
+def test_a_node_whose_values_exceed_the_buffer_is_skipped_with_a_note(tmp_path: Path) -> None:
     document = gltf_room(tmp_path)
     document.json["accessors"][0]["count"] = 1 << 40
     extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
@@ -147,7 +149,7 @@ def test_a_world_is_read_without_its_missing_models_and_meshes_on_request(tmp_pa
     assert any("models/lamp/lamp.dae" in note for note in lost)
 
 
-def test_a_robot_file_without_a_floor_names_the_option_that_adds_one(tmp_path: Path) -> None:
+def test_the_error_of_a_robot_file_without_a_floor_names_the_option_that_adds_a_floor(tmp_path: Path) -> None:
     rest = re.sub(r'<link name="Floor".*?</link>|<joint name="to_Floor".*?</joint>', "", urdf_room(), flags=re.DOTALL)
     path = write(tmp_path / "room.urdf", rest)
     with pytest.raises(WorldError, match=r"--floor M"):
@@ -217,14 +219,14 @@ def test_triangles_without_area_are_imported_without_an_error(tmp_path: Path) ->
     assert np.isfinite(extraction.parts[0].triangles).all()
 
 
-def test_a_compressed_gltf_names_its_extension_and_a_command(tmp_path: Path) -> None:
+def test_the_error_of_a_compressed_gltf_names_its_extension_and_a_command(tmp_path: Path) -> None:
     document = gltf_room(tmp_path)
     document.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
     with pytest.raises(WorldError, match=r"KHR_draco_mesh_compression, not supported.*gltf-transform copy room\.glb"):
         extract_scene(write(tmp_path / "room.glb", document.glb()))
 
 
-def test_a_missing_texture_and_material_are_notes(tmp_path: Path) -> None:
+def test_a_missing_material_library_and_material_are_noted(tmp_path: Path) -> None:
     path = write_room(tmp_path, ".obj")
     (tmp_path / "room.mtl").unlink()
     extraction = extract_scene(path, METRES)
@@ -232,7 +234,7 @@ def test_a_missing_texture_and_material_are_notes(tmp_path: Path) -> None:
     assert any("material SM_Chair_01 is not defined" in note for note in extraction.notes)
 
 
-def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
+def test_the_error_of_a_pointer_of_git_lfs_names_the_command_that_downloads_the_file(tmp_path: Path) -> None:
     path = write(tmp_path / "room.glb", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
     with pytest.raises(UsageError, match=r"pointer of Git LFS.*git lfs pull"):
         extract_scene(path)

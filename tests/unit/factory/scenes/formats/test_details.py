@@ -44,7 +44,7 @@ def test_nodes_of_gltf_compose_translation_rotation_scale_and_matrix(tmp_path: P
     assert box_of(part_of(extraction, "/World/Parent/Turned")) == [[8, 0, 0], [10, 4, 0]]
 
 
-def test_texture_transforms_strips_and_colours_of_gltf(tmp_path: Path) -> None:
+def test_texture_transforms_strips_and_colours_of_gltf_are_applied(tmp_path: Path) -> None:
     document = Gltf()
     picture(tmp_path)
     texture = document.add("textures", {"source": document.add("images", {"uri": "tiles.png"})})
@@ -69,7 +69,7 @@ def test_texture_transforms_strips_and_colours_of_gltf(tmp_path: Path) -> None:
     assert tinted.tints[0, 0].tolist() == [0.5, 0, 0]
 
 
-def test_instances_sparse_values_and_equal_names_of_gltf(tmp_path: Path) -> None:
+def test_instances_sparse_values_and_equal_names_of_gltf_are_resolved(tmp_path: Path) -> None:
     document = Gltf()
     mesh = document.mesh(SQUARE, [0, 1, 2])
     places = document.accessor([(0, 0, 0), (5, 0, 0)], "VEC3", "f")
@@ -160,7 +160,7 @@ def test_an_albedo_map_replaces_the_material_of_a_mesh(tmp_path: Path) -> None:
     assert shown.surface.texture == str(tmp_path / "other.png")
 
 
-def test_links_of_urdf_follow_joints_and_package_names(tmp_path: Path) -> None:
+def test_joints_of_urdf_place_their_links_and_package_names_are_resolved(tmp_path: Path) -> None:
     mesh_world(tmp_path / "share" / "shop")
     more = """<link name="shelf"><visual><origin xyz="1 0 0"/><geometry>
         <mesh filename="package://shop/meshes/tri.obj"/></geometry></visual></link>
@@ -233,7 +233,7 @@ def test_ply_and_collada_keep_their_texture(tmp_path: Path) -> None:
     assert floor.surface.texture == str(tmp_path / "tiles.png")
 
 
-def test_concave_polygons_and_relative_indices_of_obj(tmp_path: Path) -> None:
+def test_concave_polygons_and_relative_indices_of_obj_are_read(tmp_path: Path) -> None:
     arrow = "v 0 0 0\nv 4 0 0\nv 4 4 0\nv 2 1 0\nv 0 4 0\nf -5 -4 -3 -2 -1\n"
     (part,) = extract_scene(write(tmp_path / "a.obj", arrow), StageLimits(unit="m", up="z")).parts
     a, b, c = np.moveaxis(part.triangles, 1, 0)

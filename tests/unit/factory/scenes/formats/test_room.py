@@ -58,7 +58,9 @@ def kept(extraction: Extraction) -> set[str]:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_room_has_the_same_shape_and_keeps_what_its_format_has(tmp_path: Path, suffix: str) -> None:
+def test_the_room_has_the_same_shape_in_every_format_and_the_features_that_its_format_keeps(
+    tmp_path: Path, suffix: str
+) -> None:
     if suffix == ".xml":
         pytest.importorskip("mujoco")
     extraction = extract(write_room(tmp_path, suffix))

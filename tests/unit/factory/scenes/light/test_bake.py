@@ -28,7 +28,7 @@ def bake(boxes: Sequence[Box], lamps: Sequence[int] = (LAMP_NUMBER,)) -> LightMa
 
 
 def light_at(light: LightMap, boxes: Sequence[Box], box: int, axis: int, sign: int, place: tuple[float, ...]) -> float:
-    """Returns the mean of the three channels at a position on the face of a box that is perpendicular to an axis."""
+    """Returns the mean of the three channels at a position on one face of a box; `axis` and `sign` give its normal."""
     triangles = box_triangles(boxes)
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     for row in range(12 * box, 12 * box + 12):
@@ -47,7 +47,7 @@ def floor_light(light: LightMap, boxes: Sequence[Box], x: float, y: float) -> fl
 
 
 def light_in(light: LightMap, triangle: int, weights: tuple[float, float, float]) -> float:
-    """Returns the mean of the three channels at a point of a triangle, interpolated like in the renderer."""
+    """Returns the mean of the three channels at a point of a triangle, interpolated as in the renderer."""
     rows, columns = light.picture.shape[:2]
     u, v = np.array(weights) @ light.uvs[triangle] * (columns, rows) - 0.5
     column, row = int(u), int(v)
@@ -68,7 +68,7 @@ def test_the_light_of_a_symmetric_room_is_symmetric(lamps: tuple[tuple[float, fl
     assert np.sqrt(np.mean(np.diff(values, axis=1) ** 2)) < 1.4
 
 
-def test_the_light_of_a_cone_has_no_wedges() -> None:
+def test_the_light_of_a_cone_has_no_seams_between_its_faces() -> None:
     turn = 2 * np.pi * np.arange(13) / 12
     low, high = (
         np.column_stack((0.9 + radius * np.cos(turn), 0.4 + radius * np.sin(turn), np.full(13, z)))
@@ -98,7 +98,7 @@ def test_a_corner_is_darker_than_the_open_floor() -> None:
     assert floor_light(light, ROOM, -2.9, -2.9) < 0.8 * floor_light(light, ROOM, 0.0, 0.0)
 
 
-def test_under_a_table_is_darker_than_beside_it() -> None:
+def test_the_floor_under_a_table_is_darker_than_beside_it() -> None:
     boxes = (*ROOM, TABLE)
     light = bake(boxes)
     assert floor_light(light, boxes, 1.5, 0.0) < 0.75 * floor_light(light, boxes, 1.5, 1.3)
@@ -155,7 +155,7 @@ def test_exposure_reduces_bright_areas_more_than_dark_ones() -> None:
     assert floor_light(pale, ROOM, -2.5, -2.5) < floor_light(dark, ROOM, -2.5, -2.5) - 20
 
 
-def test_hidden_pieces_get_a_single_texel() -> None:
+def test_a_hidden_piece_gets_a_single_texel() -> None:
     boxes = (*ROOM, CRATE)
     light = bake(boxes)
     under = np.flatnonzero(box_triangles(boxes)[12 * 7 :, :, 2].max(axis=1) == 0.0) + 12 * 7

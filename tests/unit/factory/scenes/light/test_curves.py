@@ -67,7 +67,7 @@ def test_normals_agree_where_two_pieces_of_a_drum_meet() -> None:
         assert normal == pytest.approx(np.array(spot) * (1, 1, 0) / 0.3, abs=1e-3)
 
 
-def test_normals_and_places_agree_along_the_edges_of_a_frustum() -> None:
+def test_normals_agree_at_the_shared_corners_of_a_frustum() -> None:
     triangles = drum(12, height=0.1, taper=0.2)
     charts = find_charts(triangles, zeros(triangles))
     bends = find_bends(charts, triangles, zeros(triangles))

@@ -29,7 +29,7 @@ def covered(layout: Unwrap) -> np.ndarray:
     return claims
 
 
-def test_a_box_has_six_charts_of_its_faces_sizes() -> None:
+def test_a_box_has_six_charts_with_the_sizes_of_its_faces() -> None:
     charts = charts_of(Box((0, 0, 0), (3, 2, 1)))
     assert len(charts.area) == 6
     assert sorted(charts.extent.prod(axis=1).round(6)) == sorted([2, 2, 3, 3, 6, 6])
@@ -61,7 +61,7 @@ def test_a_tapered_face_is_mapped_corner_by_corner_however_it_is_divided(turn: i
     assert set(map(tuple, charts.share.reshape(-1, 2).tolist())) == {(0, 0), (1, 0), (1, 1), (0, 1)}
 
 
-def test_groups_and_distant_faces_of_one_plane_are_not_joined() -> None:
+def test_different_groups_and_distant_faces_of_one_plane_are_not_joined() -> None:
     beside, apart = Box((1, 0, 0), (2, 1, 1)), Box((5, 0, 0), (6, 1, 1))
     assert len(charts_of(Box((0, 0, 0), (1, 1, 1)), beside).area) == 12
     both = box_triangles([beside, apart])

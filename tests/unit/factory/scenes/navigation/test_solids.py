@@ -77,7 +77,7 @@ def test_a_collider_that_covers_too_little_replaces_no_mesh() -> None:
     assert len(solid_triangles([shown], [proxy], 0.0)) == 20
 
 
-def test_weld_joins_corners_and_drops_double_and_empty_triangles() -> None:
+def test_weld_joins_corners_and_drops_duplicate_and_degenerate_triangles() -> None:
     cube = box((0, 0, 0), (1, 1, 1))
     sliver = np.zeros((1, 3, 3))
     vertices, faces = weld(np.concatenate([cube, cube[:, ::-1], sliver]))
@@ -103,7 +103,7 @@ def test_a_crate_fills_its_cells() -> None:
     assert cells.sum() == 100
 
 
-def test_a_tall_pillar_shows_its_outline() -> None:
+def test_only_the_outline_of_a_tall_pillar_is_occupied() -> None:
     cells = cells_of(box((0.51, 0.51, -1), (0.99, 0.99, 3)))
     assert cells.sum() == 36
 

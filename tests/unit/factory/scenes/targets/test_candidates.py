@@ -38,7 +38,7 @@ def test_the_outermost_match_is_the_target(tmp_path: Path) -> None:
     assert found(tmp_path, rack) == [("SM_RackPile_04", "rack")]
 
 
-def test_a_container_of_adjacent_objects_is_descended(tmp_path: Path) -> None:
+def test_a_container_of_adjacent_objects_is_searched(tmp_path: Path) -> None:
     chairs = TEXT.group("Chairs", box("Chair_1", 0) + box("Chair_2", 1.0))
     assert found(tmp_path, chairs) == [("Chairs/Chair_1", "chair"), ("Chairs/Chair_2", "chair")]
 
@@ -63,11 +63,11 @@ def test_stacked_boards_are_one_shelf(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("head", ['kind = "group"', 'kind = "assembly"'])
-def test_groups_are_descended_by_kind(tmp_path: Path, head: str) -> None:
+def test_prims_of_the_kinds_group_and_assembly_are_searched(tmp_path: Path, head: str) -> None:
     assert found(tmp_path, TEXT.group("Table_Area", box("Desk_1"), head=head)) == [("Table_Area/Desk_1", "table")]
 
 
-def test_scopes_are_descended(tmp_path: Path) -> None:
+def test_scopes_are_searched(tmp_path: Path) -> None:
     assert found(tmp_path, TEXT.group("Tables", box("Desk_1"), kind="Scope")) == [("Tables/Desk_1", "table")]
 
 

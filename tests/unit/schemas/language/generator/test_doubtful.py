@@ -82,7 +82,7 @@ _STUB = Box((-3.3, 0.8, 0.0), (-3.2, 5.0, 2.5))
 
 
 @pytest.mark.parametrize(("walls", "is_clear"), [((), True), ((_STUB,), False)])
-def test_a_wall_makes_between_a_borderline_case(walls, is_clear):
+def test_the_relation_between_is_borderline_across_a_wall(walls, is_clear):
     things = (("chair", -4.0, 3.0), ("plant", -5.5, 3.0), ("lamp", -2.0, 3.0), ("chair", 5.0, -3.0))
     scene = hall(*things, walls=walls)
     assert len(scene.graph.rooms) == 1
@@ -90,20 +90,20 @@ def test_a_wall_makes_between_a_borderline_case(walls, is_clear):
 
 
 @pytest.mark.parametrize(("walls", "is_clear"), [((), True), ((_STUB,), False)])
-def test_a_wall_makes_next_to_a_borderline_case(walls, is_clear):
+def test_the_relation_next_to_is_borderline_across_a_wall(walls, is_clear):
     scene = hall(("chair", -3.6, 3.0), ("lamp", -2.9, 3.0), ("chair", 5.0, -3.0), walls=walls)
     assert is_written(scene, "the chair next to the lamp", at(scene, -3.6, 3.0)) == is_clear
 
 
 @pytest.mark.parametrize(("y", "is_clear"), [(0.2, True), (0.6, False)])
-def test_in_front_of_is_borderline_for_an_object_beside_the_line_of_sight(y, is_clear):
+def test_the_relation_in_front_of_is_borderline_for_an_object_beside_the_line_of_sight(y, is_clear):
     scene = hall(("shelf", -3.0, 0.0), ("chair", -4.2, y), ("chair", 5.0, 4.0))
     phrase, start = "the chair in front of the shelf as seen from here", (-8.5, 0.0, 0.0)
     assert is_written(scene, phrase, at(scene, -4.2, y), start) == is_clear
 
 
 @pytest.mark.parametrize(("base_m", "is_clear"), [(0.0, True), (0.74, False)])
-def test_left_of_is_borderline_for_a_thing_on_top_of_the_landmark(base_m, is_clear):
+def test_the_relation_left_of_is_borderline_for_a_thing_on_top_of_the_landmark(base_m, is_clear):
     table = Box((-5.6, -0.4, 0.0), (-5.4, 0.4, 0.74), category="table")
     monitor = Box((-5.6, 0.1 + 0.4 * is_clear, base_m), (-5.4, 0.5 + 0.4 * is_clear, base_m + 0.4), category="monitor")
     scene = hall(("monitor", 5.0, -3.0), walls=(table, monitor))
@@ -112,7 +112,7 @@ def test_left_of_is_borderline_for_a_thing_on_top_of_the_landmark(base_m, is_cle
 
 
 @pytest.mark.parametrize(("base_m", "is_clear"), [(0.0, True), (1.0, False)])
-def test_in_front_of_is_borderline_for_two_things_on_one_wall(base_m, is_clear):
+def test_the_relation_in_front_of_is_borderline_for_two_things_on_one_wall(base_m, is_clear):
     names = ((-3.0, "clock"), (-1.5, "picture"))
     things = [Box((x, 4.9, base_m), (x + 0.5, 5.0, base_m + 0.7), category=kind) for x, kind in names]
     scene = hall(("clock", -8.0, -4.0), walls=tuple(things))
@@ -141,7 +141,7 @@ def test_a_cardboard_box_may_be_a_crate_and_a_refrigerator_a_shelf():
 
 
 @pytest.mark.parametrize(("x", "is_clear"), [(-5.2, False), (-3.4, True)])
-def test_the_nearest_of_two_objects_is_clearly_nearer(x, is_clear):
+def test_an_object_is_the_nearest_only_if_it_is_clearly_nearer(x, is_clear):
     scene = hall(("chair", -5.5, 0.5), ("chair", x, -0.5))
     assert is_written(scene, "the chair nearest to you", at(scene, -5.5, 0.5)) == is_clear
 
@@ -160,7 +160,7 @@ def test_a_route_leads_towards_an_object_only_if_the_robot_does_not_drive_past_i
 
 
 @pytest.mark.parametrize(("plant_x", "is_passed"), [(-2.3, False), (-4.0, True)])
-def test_a_passed_object_is_clearly_behind_the_robot(plant_x, is_passed):
+def test_an_object_is_passed_only_if_it_is_clearly_behind_the_robot(plant_x, is_passed):
     scene = hall(("plant", plant_x, 1.0), ("chair", -2.0, -4.0))
     poses = driven((-7.0, 0.0), (-2.0, 0.0), (-2.0, -3.0))
     path, number = DrivenPath(poses), at(scene, -2.0, -4.0)
@@ -177,7 +177,7 @@ def test_a_prim_with_an_ambiguous_name_is_a_borderline_case_of_each_kind(prim, s
     assert set(kinds().seen_in([prim])[0]) == shown
 
 
-def test_with_nothing_on_top_follows_the_noun_without_that_is():
+def test_the_phrase_with_nothing_on_top_follows_the_noun_without_the_words_that_is():
     beside = Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind="shelf", definite=False),))
     phrase = grammar("en").phrase(
         Expression(kind="table", clauses=(Clause(relation=Relation.EMPTY), beside)), "nom", {"relation": 1}

@@ -108,7 +108,7 @@ def test_held_out_patterns_are_written_only_on_request():
         assert {one.held_out for each in found for one in each} == {held_out}
 
 
-def test_features_with_weight_zero_do_not_occur_and_fit_any_gives_instructions_for_several_objects():
+def test_features_of_weight_zero_do_not_occur_and_the_option_fit_any_gives_instructions_for_several_objects():
     without_view = LanguageSpec(features={"view": 0, "ego": 0, "ordinal": 0, "nearest": 0}, fit="any")
     composer, rng = Composer(without_view), np.random.default_rng(0)
     found = [one for number in TARGETS for one in composer.write(two_rooms(), VIEWS[1], number, False, rng)]

@@ -167,7 +167,7 @@ def test_a_start_close_to_a_doorway_is_in_no_part_of_a_room():
     assert two_rooms().verifier.evaluate(expression, view).fault == "the room of the start is not known"
 
 
-def test_same_room_is_borderline_across_a_wide_opening():
+def test_the_relation_same_room_is_borderline_across_a_wide_opening():
     walls = room_walls((-6.0, -4.0), (6.0, 4.0))
     stubs = (Box((-0.1, -4.0, 0.0), (0.1, -2.0, 2.5)), Box((-0.1, 2.0, 0.0), (0.1, 4.0, 2.5)))  # an opening of 4 m
     things = (

@@ -111,7 +111,7 @@ def test_only_objects_at_two_walls_are_in_a_corner():
     assert gaps[RED_EAST] > 0.5
 
 
-def test_a_wall_hides_objects_and_furniture_makes_them_borderline():
+def test_a_wall_hides_an_object_and_a_table_in_the_same_room_is_visible():
     graph = two_rooms().graph
     view = look(graph, (-5.0, 2.2, 0.0), CAMERA)
     sofa, table = number_at(3.5, 2.5), number_at(-3.0, 2.5)
