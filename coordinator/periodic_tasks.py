@@ -16,7 +16,7 @@ PeriodicTask = tuple[float, Callable[[], None]]
 """Pause in seconds, and the function to call."""
 
 _SHARE = 20
-"""A pause of at least 1 s is extended to at least this many times the duration of the preceding task."""
+"""A task with a pause of at least 1 s pauses for at least this many times the duration of its last call."""
 _AFTER_FAILURE_S, _LONGEST_S = 2.0, 15.0
 """Pause after the first failure of a task, and longest pause after failures, seconds. The pause doubles with each
 failure in succession. A task with a longer interval keeps its interval."""

@@ -23,8 +23,8 @@ class TaskConfig(Model):
     success: SuccessMeasure = Field(
         default=SuccessMeasure.CENTROID, exclude_if=lambda it: it is SuccessMeasure.CENTROID
     )
-    """Measure of the distance to the target; omitted if `centroid`, the only measure of the first versions. The
-    default of a plan file is `surface`."""
+    """Measure of the distance to the target; omitted from JSON if `centroid`, the only measure of the first versions.
+    The default of a plan file is `surface`."""
     success_radius_m: Positive = 1.0
     """Largest planar distance from base_link to the target in a success, by the success measure, metres."""
     hold_steps: Annotated[int, Field(ge=1, le=1000)] = 5
@@ -124,11 +124,11 @@ class SpawnConfig(Model):
     """Required free space beside the body on the straight line to the success circle, for experts that drive straight,
     metres."""
     screening: Screening = Field(default=Screening.FORESEEN, exclude_if=lambda it: it is Screening.FORESEEN)
-    """Selection of the starts of experts that drive straight; the planner ignores it. Omitted if `foreseen`,
-    the only selection of the first versions."""
+    """Selection of the starts of experts that drive straight; the planner ignores it. Omitted from JSON if
+    `foreseen`, the only selection of the first versions."""
     far_floor_m: tuple[Positive, Positive] = Field(default=FAR_FLOOR_M, exclude_if=lambda it: it == FAR_FLOOR_M)
     """Smallest and largest distance along the floor from a start in the far tier to the target, metres: the shortest
-    path to the success circle plus its radius. Omitted at its default."""
+    path to the success circle plus its radius. Omitted from JSON at the default."""
 
     @property
     def needs_free_line(self) -> bool:

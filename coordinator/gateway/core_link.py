@@ -38,7 +38,7 @@ class CoreLink:
         self._node = node
         self._name = name
         self.run = _ANY_RUN
-        """Run in the request keys; the wildcard `*` until the run is known."""
+        """Name of the run in the request keys; the wildcard `*` until it is known."""
         self._heard = self._opened = time.monotonic()
         self._reconnecting = threading.Lock()
         self._away = Repeated(log, "core_unreachable")

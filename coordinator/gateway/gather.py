@@ -99,7 +99,7 @@ def gather(
         now: current time.
         requeue_missing: whether to return missing episodes to the queue as lost.
         on_progress: progress callback with the number of processed episodes and the total.
-        shard_episodes: number of episode numbers per shard of a states dataset.
+        shard_episodes: number of consecutive episode numbers that a shard of a states dataset covers.
 
     Raises:
         UsageError: a source is not a directory of a gateway.

@@ -133,7 +133,7 @@ def _validate_all(
 def _validate_result(
     ledger: Connection, index: int, path: FilePlace, terms: Terms, checker: BundleValidator
 ) -> _Verdict:
-    """Validates a result of an evaluation for the current attempt, because the file does not contain its attempt."""
+    """Validates an evaluation result as that of the current attempt, because the file does not name its attempt."""
     row = current_job(ledger, index)
     if row is None:
         return "the plan has no episode of this number"

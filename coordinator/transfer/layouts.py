@@ -1,6 +1,7 @@
 """Stores the packages of layouts that workers have built, and inserts the episodes of each layout into the ledger.
 
-The module transfers nothing. A package that cannot fulfil the plan is refused, and the next seed follows.
+The module transfers nothing. A package that cannot fulfil the plan is refused, and the next seed
+is tried.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def rig_findings(bundle: BundleReader) -> list[str]:
     wanted = [] if rig is None else [sensor.name for sensor in rig.sensors]
     found = []
     if bundle.has_sensors != (rig is not None):
-        of_job = "no rig" if rig is None else f"the rig {rig.name}"
+        of_job = "no rig" if rig is None else f"the rig {rig.name!r}"
         found.append(f"the bundle {'has' if bundle.has_sensors else 'lacks'} measurements, but its job has {of_job}")
     if (meta.format > FORMAT_WITHOUT_RIG) != (format_of(meta.job) > FORMAT_WITHOUT_RIG):
         found.append(f"the bundle has format {meta.format}, but bundles of its job have format {format_of(meta.job)}")

@@ -1,5 +1,4 @@
-"""Replaces the Python processes that a tested process starts by forks, because the imports of a new interpreter take
-a second.
+"""Forks the Python processes that a tested process would start, because the imports of a new interpreter take a second.
 
 A helper process makes the forks. It is a child of the tested process (the owner): either a copy of the owner, made
 before the owner starts threads, or a new interpreter. The parent of each fork is the owner and not the helper, so

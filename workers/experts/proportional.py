@@ -65,7 +65,7 @@ class ProportionalExpert:
         gains = self._gains
         speed = self._speed_law(seen, gains, self._radius_m)
         if speed <= 0.0 and seen.distance_m <= self._radius_m:
-            return Twist(0.0, 0.0)  # without rendering an image, which would take most of a step
+            return Twist(0.0, 0.0)  # before `target_mask`, which would render an image, the slowest part of a step
         if speed > gains.avoidance_speed_mps and seen.obstacle_near:
             speed = gains.avoidance_speed_mps
         half = FRAME_SIZE_PX / 2

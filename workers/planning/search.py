@@ -148,8 +148,8 @@ def _search(
 
 
 _STRIDE = 1 << 16
-"""Factor of the column in the integer that identifies a state; larger than the number of rows of `_CELL_M` in any
-grid."""
+"""The integer of a state is (column * `_STRIDE` + row) * HEADINGS + heading, where columns and rows count cells of side
+`_CELL_M`. No grid has so many rows."""
 _ARCS = tuple(tuple((*move[:6], move.turn * _TURN_COST_M) for move in moves if move.length_m) for moves in MOVES)
 """Arcs from each heading: displacements, heading, length, and cost of the turn, metres of path."""
 _SPOT_TURNS = tuple(tuple(move.heading for move in moves if not move.length_m) for moves in MOVES)

@@ -1,8 +1,8 @@
 """Gives each cell of a layout its exact quota of categories, from the plan only. Reads no scene.
 
 A family has a sequence of seen categories and a sequence of held-out categories. A sequence consists of random
-permutations of its categories, so their numbers of episodes differ by at most one. Each layout uses the places of
-the sequences that the plan assigns to it.
+permutations of its categories, so their numbers of episodes differ by at most one. The plan assigns positions
+in these sequences to each layout; its episodes have the categories at its positions.
 """
 
 from __future__ import annotations

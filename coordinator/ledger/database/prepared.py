@@ -1,7 +1,7 @@
 """Prepared statements: compiled once per database dialect, then executed by the database driver directly.
 
-The statements take part in SQLAlchemy's transactions and raise its exceptions. They avoid building
-statement, parameters and result for each execution, which takes several times as long as the work of the database.
+The statements take part in SQLAlchemy's transactions and raise its exceptions. Building
+statement, parameters and result for each execution would take several times as long as the work of the database.
 """
 
 from __future__ import annotations

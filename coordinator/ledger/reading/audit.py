@@ -244,8 +244,8 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
             yield f"is damaged: episode {row.idx} counts {row.crashes} worker failures, but {failures} are recorded"
         if row.not_before > row.changed_at + _LONGEST_PAUSE_S:
             yield (
-                f"is damaged: the pause of episode {row.idx} ends at {row.not_before}, too long after its last change "
-                f"at {row.changed_at}"
+                f"is damaged: the pause of episode {row.idx} ends {row.not_before - row.changed_at:.0f} s after its "
+                f"last change, but the longest pause is {_LONGEST_PAUSE_S:.0f} s"
             )
 
 

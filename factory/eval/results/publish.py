@@ -116,8 +116,8 @@ def _remarks(campaign: Campaign) -> list[str]:
         remarks.append(f"view of the policies: {campaign.setup.view.describe()}")
     if moved:
         remarks.append(
-            f"{moved} of {len(specs)} episodes start at frame 0 of their archived episode, because another version of "
-            "the software collected them; `replay` can fail in them"
+            f"{moved} of {len(specs)} episodes start at the recorded pose of frame 0, and not at the start that their "
+            "job gives, because another version of the software collected them; `replay` can fail in them"
         )
     if ways:
         remarks.append(f"{ways} of {len(specs)} episodes have no path on the floor and are excluded from SPL")

@@ -6,7 +6,7 @@ from factory.export.rig.document import RIG_FILE, rig_table
 from schemas.rig import Rig
 
 _FOXGLOVE_CARD = """
-One MCAP file an episode, `episodes/ep_000001.mcap`, chunked, zstd, indexed; times count from frame 0.
+One MCAP file per episode, `episodes/ep_000001.mcap`: chunked, compressed with zstd, indexed; times begin at frame 0.
 
 | topic | schema |
 |---|---|
@@ -24,8 +24,8 @@ _FOXGLOVE_CAMERA = """\
 | `/camera/calibration` | foxglove.CameraCalibration |
 """
 _ROS2_CARD = """
-One MCAP file an episode, `episodes/ep_000001.mcap`, of profile `ros2` (CDR), chunked, zstd, indexed; for `ros2 bag`,
-`rosbags` and Foxglove. Episode n starts {spacing} (n - 1) s after {start} s since 1970.
+One MCAP file per episode, `episodes/ep_000001.mcap`: profile `ros2` (CDR), chunked, compressed with zstd, indexed; for
+`ros2 bag`, `rosbags` and Foxglove. Episode n starts {spacing} (n - 1) s after {start} s since 1970.
 
 | topic | message |
 |---|---|

@@ -26,8 +26,8 @@ _RATIO = (0.75, 1.33)
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""The widths of the rooms in a row are changed to fill its length. The rooms do not fit if the sum of the changes would
-exceed this share of the sum that the limits of the rooms permit."""
+"""The widths of the rooms in a row are changed to fill its length. If the
+total change exceeds this share of the largest total change that the limits of the rooms permit, they do not fit."""
 _STEPS = 24
 """Number of steps of the bisection that finds the scale of a floor."""
 
@@ -51,8 +51,9 @@ class Block(NamedTuple):
     area: Rectangle
     specs: Specs
     rows: float = 0.0
-    """Probability with which cuts across x, which form a row of rooms, are tried first. With 1, all rooms form one row
-    along the longer side, and their floor areas are adapted to the depth of the block."""
+    """Probability that cuts perpendicular to x, which put rooms side by side along x, are tried first. The value 1
+    selects a different method: all rooms form one row along the longer side, and their widths are adapted to the depth
+    of the block."""
 
 
 class Arrangement(NamedTuple):

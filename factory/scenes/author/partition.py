@@ -139,7 +139,7 @@ def _row(block: Block) -> list[Rectangle] | None:
 def _cut(rng: Generator, floor: Rectangle, specs: Sequence[RoomSpec], rows: float) -> list[Rectangle] | None:
     """Cuts a rectangle recursively until each spec has a suitable room of about its floor area; `None` if that fails.
 
-    `rows` is the probability with which cuts across x are tried first, so the rooms form a row.
+    `rows` is the probability that cuts perpendicular to x, which put rooms side by side along x, are tried first.
     """
     if len(specs) == 1:
         return [floor] if _suits(floor, specs[0]) else None

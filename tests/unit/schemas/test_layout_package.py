@@ -1,4 +1,4 @@
-"""Packages of format 4: their textures are files that packages share, and a complete package contains them."""
+"""Packages of format 4: their textures are separate files that packages share; only a complete package has them."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_a_texture_above_the_limit_is_refused() -> None:
 
 
 @pytest.mark.parametrize("steps", [[0, 2], [0, 0, 0], [1, 0], [0]], ids=["before", "too-many", "first", "unused"])
-def test_steps_to_places_that_do_not_exist_are_refused(steps: list[int]) -> None:
+def test_place_steps_that_do_not_match_the_stored_positions_are_refused(steps: list[int]) -> None:
     with pytest.raises(InvalidBundle, match="place_steps"):
         join_positions(np.zeros((2, 3), np.float32), np.array(steps, np.uint32))
 

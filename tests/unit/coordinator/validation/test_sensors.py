@@ -86,6 +86,6 @@ def test_missing_measurements_and_the_wrong_format_of_a_bundle_with_a_rig_are_fo
     bundle = BundleReader(io.BytesIO(plain.write()))
     bundle.__dict__["meta"] = meta
     found = validate(bundle)
-    assert "the bundle lacks measurements, but its job has the rig one" in found
+    assert "the bundle lacks measurements, but its job has the rig 'one'" in found
     assert f"the bundle has format {FORMAT_WITHOUT_RIG}, but bundles of its job have format 3" in found
     assert "the bundle has digests of the sensors [], but its rig has the sensors ['scan']" in found

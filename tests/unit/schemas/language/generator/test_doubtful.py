@@ -177,7 +177,7 @@ def test_a_prim_with_an_ambiguous_name_is_a_borderline_case_of_each_kind(prim, s
     assert set(kinds().seen_in([prim])[0]) == shown
 
 
-def test_the_phrase_with_nothing_on_top_follows_the_noun_without_the_words_that_is():
+def test_with_nothing_on_top_directly_follows_the_noun():
     beside = Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind="shelf", definite=False),))
     phrase = grammar("en").phrase(
         Expression(kind="table", clauses=(Clause(relation=Relation.EMPTY), beside)), "nom", {"relation": 1}
