@@ -34,7 +34,7 @@ from schemas.support.closing import Closing
 
 _LOCK = ".lock"
 _NAME = ".name"
-"""File in a state directory with its random id, which the lock object contains."""
+"""File that contains the random id of a state directory; the lock object contains the same id."""
 log = structlog.get_logger(__name__)
 
 

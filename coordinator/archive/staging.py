@@ -199,8 +199,8 @@ def _take(descriptor: int, kind: int) -> bool:
 def _take_exclusive(descriptor: int) -> bool:
     """Takes the exclusive lock of a coordinator; returns `False` if another coordinator holds it.
 
-    If a shared lock can be taken, no coordinator holds the directory: only callers of `is_held` have locked it for a
-    moment. The function then tries again.
+    If a shared lock can be taken, no coordinator holds the directory; the exclusive lock failed because a caller of
+    `is_held` held a shared lock for a moment. The function then tries again.
     """
     while not _take(descriptor, fcntl.LOCK_EX):
         if not _take(descriptor, fcntl.LOCK_SH):

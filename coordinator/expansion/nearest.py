@@ -24,7 +24,8 @@ class NearestPlan:
     """Nearest feasible plan."""
 
     plan: Plan | None
-    """The feasible plan; `None` if no scene has a target that the plan names and that has a start for the expert."""
+    """The feasible plan; `None` if no scene has a target that the plan names and that has a start pose for the
+    expert."""
     changes: tuple[str, ...]
     """Differences, one line per scene; empty if the plan is feasible."""
     moved: int

@@ -78,8 +78,8 @@ def faults_of(cells: SceneCells, place: str) -> Iterator[str]:
             yield f"{place}: cell {split} / {tier} has no start for the categories {names}, which its quota needs"
         if named[split] & cells.present and not cells.pool(split, tier):
             yield (
-                f"{place}: cell {split} / {tier} ({count} episodes) has no target that the "
-                f"{cells.plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
+                f"{place}: cell {split} / {tier} ({count} episodes) has no target with a start "
+                f"pose for the {cells.plan.expert} expert; set tiers.{tier} or splits.{split} of the scene to 0, or "
                 "change the scene"
             )
 

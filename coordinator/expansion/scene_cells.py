@@ -47,7 +47,8 @@ class SceneCells:
     def pool(self, split: Split, tier: Tier) -> tuple[Target, ...]:
         """Returns the permitted targets of a cell.
 
-        The split permits their category and side, the expert can start for them, and an instruction may name them.
+        The split permits their category and side, they have a start pose for the expert in the tier, and an instruction
+        may name them.
         """
         categories = categories_of(self.scene, split)
         sides = {} if split.is_held_out else self.sides

@@ -32,7 +32,7 @@ class PlanSummary:
     ambiguous: int
     """Number of instructions that fit several objects of their scene."""
     shown_alone: int
-    """Number of ambiguous instructions in episodes whose start is drawn until no other fitting object is in view."""
+    """Number of ambiguous instructions whose start is drawn again until they fit only one object in view."""
 
     distractors: Mapping[int, int]
     """Number of episodes by the number of other objects of the target's category in the scene."""

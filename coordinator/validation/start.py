@@ -29,8 +29,8 @@ def start_findings(
 ) -> list[str]:
     """Returns the start conditions of the job, on image and heading, that the episode does not meet.
 
-    The coordinator computes the conditions from the compiled scene and leases them with the job; a worker that changes
-    them is refused, because its job differs from the leased one.
+    The coordinator computes the conditions from the compiled scene and sends them with the leased job. If a worker
+    changes them, its bundle is refused, because the job of the bundle differs from the leased one.
 
     Args:
         meta: metadata of the episode.
@@ -65,7 +65,7 @@ def choice_findings(meta: EpisodeMeta) -> list[str]:
         )
     stray = sorted(set(choices).difference(view.choice.among))
     if stray or list(choices) != sorted(set(choices)):
-        found.append(f"choices {list(choices)}: the job permits each of {list(view.choice.among)} once, in this order")
+        found.append(f"choices {list(choices)} are not distinct ids of {list(view.choice.among)} in ascending order")
     if choices and meta.target_instance_id != view.choice.of(choices):
         found.append(f"the target is object {meta.target_instance_id}, the job selects {view.choice.of(choices)}")
     return found

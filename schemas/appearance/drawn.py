@@ -32,11 +32,11 @@ class LightMix(Model):
     sky: LampLight
     """Light of the sky, and indirect light."""
     adaptation: Annotated[Fraction, Field(alias="adaption")]
-    """Share of a change of the mean light, in stops, that automatic exposure compensates; serialized as `adaption`."""
+    """Share that automatic exposure compensates of a change of the mean light in stops; serialized as `adaption`."""
 
 
 class SurfaceChange(Model):
-    """New material of all surfaces of one kind, texture and colour."""
+    """New material for all surfaces that have the same kind, the same texture and the same colour."""
 
     surface: Line
     """Kind of the surface: `wall`, `floor`, `ceiling` or `object`."""

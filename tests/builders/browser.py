@@ -12,7 +12,7 @@ from typing import Any
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """The last two flags make Chromium render WebGL on the CPU."""
 _NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-"""Programs, in order of preference. The first has no window code and needs a third less CPU time than the others."""
+"""Browsers, in order of preference. The first can open no window and needs a third less CPU time than the others."""
 
 
 def _find() -> str | None:

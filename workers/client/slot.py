@@ -32,8 +32,8 @@ of CPU time (docs/performance.md#layouts)."""
 _STARTS = 3
 _LAST_TRIES = 2
 _SIGNALLED_S = 1.0
-"""Time for which a slot whose simulation was killed waits for a stop signal to the worker, seconds. If the signal
-arrives, a batch system has ended simulation and worker: the job is returned, and no crash is reported."""
+"""Time for which a slot waits for a stop signal to the worker after its simulation was killed, seconds. If the signal
+arrives, a batch system is ending both processes: the job is returned, and no crash is reported."""
 _FALLBACK = "TinyRenderer"
 _FALLBACK_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 

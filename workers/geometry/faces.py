@@ -90,9 +90,9 @@ def plan_faces(camera: Camera) -> FacePlan:
     """Returns the plan of a camera; the plans of the most recently used lenses are kept.
 
     At every pixel, the faces have at least the resolution (pixels per radian) that the image has there along its rows
-    or along its columns, whichever is lower. Everywhere, they also have at least the lowest resolution that the image
-    has along its rows, and at least the lowest that it has along its columns. Near its poles, a panorama has a higher
-    resolution than the faces.
+    or along its columns, whichever is lower. They have nowhere less than a minimum resolution: the lowest that the
+    image has along its rows or the lowest along its columns, whichever is higher. Near its poles, a panorama has a
+    higher resolution than the faces.
 
     Raises:
         UsageError: the faces would be larger than the drivers support.

@@ -98,8 +98,11 @@ class ClosedLoop:
         return self._termination.evaluate(x, y, self._distance_m(view), blocked, v)
 
     def _distance_m(self, view: Observation) -> float:
-        """Returns the distance to the goal, metres; with a false premise the distance to the start, or infinity while
-        the robot turns."""
+        """Returns the distance to the goal, metres.
+
+        With a false premise the goal is to stop at the start, so this is the distance to the start. It is infinite
+        while the robot turns, because a turning robot has not stopped.
+        """
         if not self._job.is_false_premise:
             return view.distance_m
         return math.inf if abs(self.command.w_rps) > STOPPED_RPS else math.dist(self._poses[0][:2], self._poses[-1][:2])

@@ -82,7 +82,7 @@ def bench_rollout(
 
 
 def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[str, float]:
-    """Runs jobs until one succeeds; returns kind of member -> kB per frame in the bundle of this job."""
+    """Runs jobs until one succeeds; returns the size of its bundle by kind of member, kB per frame."""
     details = []
     for job in jobs:
         _rewind(file)

@@ -111,7 +111,7 @@ class Palette(NamedTuple):
     rugs: tuple[str, ...]
     """Textures of the rugs."""
     art: int
-    """First of the variants of pictures and tapestries that the building uses."""
+    """Number of the first variant of pictures and tapestries; the building uses this one and some of the next."""
 
 
 def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:

@@ -80,7 +80,9 @@ def film(request: Request) -> Response:
     policy = reading.policies[number] if number < len(reading.policies) else None
     found = policy.video(spec, f".{kind}") if policy is not None and f"{dot}{kind}" in _KINDS else None
     if found is None:
-        raise HTTPException(404, "this video does not exist; `factory eval --videos N` draws N failures of each policy")
+        raise HTTPException(
+            404, "this video does not exist; `factory eval --videos N` renders videos of N failures of each policy"
+        )
     return FileResponse(found, media_type=_KINDS[f".{kind}"], headers={"cache-control": "private, max-age=60"})
 
 

@@ -64,7 +64,7 @@ def test_a_second_opening_decodes_no_frame(data: Dataset, tmp_path: Path) -> Non
     assert isinstance(second.pictures.rgb, np.memmap)
 
 
-def test_caches_of_other_content_another_size_or_another_hold_have_other_names(data: Dataset) -> None:
+def test_the_name_of_a_cache_depends_on_content_size_and_hold(data: Dataset) -> None:
     key = CacheKey(dataset=data.digest, size=SIZE, hold=HOLD)
     others = (
         CacheKey(dataset=data.filter(episode="ep_000001").digest, size=SIZE, hold=HOLD),
