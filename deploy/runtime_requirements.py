@@ -28,7 +28,7 @@ def locked(text: str) -> dict[str, str]:
 
 
 def closure(wanted: Iterable[Requirement], own: dict[str, list[str]]) -> set[str]:
-    """Returns the names of all packages that some requirements need on this platform, directly or indirectly.
+    """Returns the names of all packages that the wanted requirements need on this platform, directly or indirectly.
 
     Args:
         wanted: the requirements.

@@ -93,7 +93,7 @@ def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:
 
 
 def _watched(tally: Table) -> str:
-    """Returns the key columns of a tally, as SQL: the rows of the counted table are counted by the same columns."""
+    """Returns the key columns of a tally, as SQL. The counted table has columns of the same names."""
     return ", ".join(column.name for column in tally.primary_key)
 
 

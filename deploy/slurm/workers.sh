@@ -4,7 +4,7 @@
 #
 # A task that reaches its time limit returns its jobs and queues itself again; Slurm queues preempted tasks again, and
 # `scancel` ends a task. The run is finished when a worker exits without a signal, and then the task ends without requeuing.
-# `factory submit slurm` writes scripts that start the coordinator too, or that need none.
+# `factory submit slurm` writes scripts that also start the coordinator, or that run shards without a coordinator.
 #SBATCH --job-name=minivla
 #SBATCH --ntasks=1
 #SBATCH --cpus-per-task=4

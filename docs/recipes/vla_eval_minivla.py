@@ -5,7 +5,8 @@ pip install vla-eval 'PATH_OF_A_CLONE[eval]'; then, from the folder of this file
     vla-eval run --config vla_eval.yaml --no-docker
 
 Each evaluation episode is a task, so the results name episodes. A model server gets `images["front"]`, `depth` and
-`task_description`, and answers with `actions` (v, w). If a model returns several actions, its server sends them singly.
+`task_description`, and answers with `actions` (v, w). If a model returns several actions, its server sends them
+one at a time.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class MiniVLANav(StepBenchmark):
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:  # noqa: ARG003
-        """Returns no settings, because the renderer uses the first device of EGL, a GPU or llvmpipe."""
+        """Returns no settings, because the renderer uses the first device of EGL (a GPU or llvmpipe)."""
         return {}
 
     def __init__(

@@ -1,4 +1,5 @@
-"""Verifies a dataset: every file against the tables and, with `deep`, every frame and digest against the plan.
+"""Verifies a dataset: every file against the tables and, with `deep`, every frame and digest, and the quotas of the
+plan.
 
 Returns all findings; does not stop at the first. Does not write, print or need a ledger.
 """

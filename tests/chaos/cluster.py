@@ -61,7 +61,7 @@ class ClusterCommands:
     faulty_worker: Callable[[Path, str, str, float], list[str]] | None = None
     """Like `worker`, with one more argument: the share of damaged attempts."""
     crashes: int = LARGE_CRASH_BUDGET
-    """Permitted crashes of a job. With the product's default, the run must not kill simulations of honest hosts."""
+    """Permitted crashes of a job. If less than `LARGE_CRASH_BUDGET`, no fault kills simulations of honest hosts."""
     record: Recording = Recording.FRAMES
     """What an episode stores; episodes of states are packed into shards."""
 

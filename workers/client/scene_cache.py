@@ -37,7 +37,7 @@ class _Busy(Exception):
 
 
 class _CachedFile(NamedTuple):
-    """File that may be evicted; sorted by last use, with a package before a texture of the same time."""
+    """File that may be evicted; sorted by last use; of equal times, a package is before a texture."""
 
     used_ns: int
     is_texture: bool

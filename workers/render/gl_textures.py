@@ -50,7 +50,7 @@ class TextureStore:
         """Returns an array with layers (512, 512, 3); rows are reversed, because v = 0 is the bottom row.
 
         Only the nearest mipmap is sampled: interpolation between two mipmaps would not improve the image quality here,
-        and would take as much additional time as the light map.
+        and would take as much additional time as sampling the light map.
         """
         layers = layers or (np.full((1, 1, 3), 255, np.uint8),)
         sources = self._find(layers)

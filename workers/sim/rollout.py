@@ -36,7 +36,7 @@ class Drive:
     steps_visible: int | None
     """Number of steps in which the target was visible to the expert; `None` if the expert uses no images."""
     target_in_view: bool
-    """Whether the last frame shows the target. Not measured, and false, if an expert that uses no images fails."""
+    """Whether the last frame shows the target. Always false if an attempt fails whose expert uses no images."""
     end: str
     """Description of the end with measured values."""
 

@@ -36,7 +36,7 @@ def open_ledger(url: str) -> Iterator[Connection]:
 def translate_damage(url: str) -> Iterator[None]:
     """Converts exceptions of the block to `WorldError` if the ledger is damaged; other exceptions are re-raised.
 
-    If the ledger is intact, the exception is an error in the software. So the function audits the ledger first.
+    The function audits the ledger, because with an intact ledger the exception is an error in the software.
     """
     try:
         yield

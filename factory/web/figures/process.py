@@ -16,7 +16,7 @@ from factory.web.figures.model import Message
 from schemas.errors import FactoryError
 
 _NICENESS = 10
-"""The process gets a tenth of the CPU time of a process with the default priority."""
+"""Niceness of the process, which gets a tenth of the CPU time of a process with the default priority."""
 _PAUSE_S = 0.5
 """Minimum time between two messages of progress, seconds."""
 

@@ -137,7 +137,7 @@ def _carton(rng: Generator) -> Pixels:
 
 
 def _carton_printed(rng: Generator) -> Pixels:
-    """A darker box with arrows up and a glass, and a band of print."""
+    """A darker box with the symbols for "this side up" and "fragile", and a band of print."""
     rows, columns = grid()
     tone = _cardboard(rng)
     tone[np.abs(rows - 40) < 9] *= 1.15  # tape along the top
