@@ -44,7 +44,7 @@ def pack_settled(
         The number of packed episodes.
 
     Raises:
-        WorldError: the disk is full or unavailable; each episode is stored.
+        WorldError: the disk is full or unavailable; no episode is lost.
     """
     if plan.record is not Recording.STATES or plan.episodes <= size:
         return 0
@@ -65,7 +65,7 @@ def pack_all(archive: Archive, owned: Mapping[int, str]) -> int:
         The number of packed episodes.
 
     Raises:
-        WorldError: the disk is full or unavailable; each episode is stored.
+        WorldError: the disk is full or unavailable; no episode is lost.
     """
     spans = sorted({range_of(index) for index in archive.unpacked()})
     of_spans = ({index: owned[index] for index in range(first, last + 1) if index in owned} for first, last in spans)
@@ -93,7 +93,7 @@ def pack_ranges(archive: Archive, ranges: Iterable[tuple[Range, Mapping[int, str
         ranges: ranges of numbers, each with the SHA-256 of its episodes by number.
 
     Raises:
-        WorldError: the disk is full or unavailable; each episode is stored.
+        WorldError: the disk is full or unavailable; no episode is lost.
     """
     count = sum(archive.pack(owned, *span) for span, owned in ranges)
     if count:

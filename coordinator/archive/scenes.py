@@ -32,7 +32,7 @@ class SceneStore(ABC):
 
     @abstractmethod
     def _keep(self, source: Path, place: Place) -> None:
-        """Stores a copy of a file durably at a new place."""
+        """Stores a copy of a file durably under a new name."""
 
     @abstractmethod
     def _drop(self, place: Place) -> None:

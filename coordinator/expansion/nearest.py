@@ -43,7 +43,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> NearestPlan:
     changes: list[str] = []
     moved = 0
     for scene in plan.scenes:
-        if scene.layouts is not None:  # they fulfil the plan, because other layouts are refused
+        if scene.layouts is not None:  # a layout that does not fulfil the plan is refused when it is built
             kept.append(scene)
             continue
         part = _possible(plan, scene, catalog[scene.name])

@@ -198,7 +198,7 @@ def planned_digest(connection: Connection, span: range | None = None) -> str:
     Args:
         connection: connection for reading.
         span: numbers of the episodes of one layout that a worker has built; the digest then covers these episodes only.
-            `None` covers all episodes and builds except the episodes of layouts that workers build.
+            `None`: all builds, and all episodes except those of layouts that workers build.
     """
     digest = xxhash.xxh3_128()
     facts = select(info).where(info.c.key.in_(_BEGUN_WITH)).order_by(info.c.key)

@@ -1,6 +1,7 @@
 """Executes admin requests in a transaction and records them; stores whether the run is paused.
 
-The newest requests are stored in the table `info`, because events belong to jobs. The pause survives a restart.
+The newest requests are stored in the table `info` and not in `events`, because each event belongs to a job. The pause
+survives a restart.
 """
 
 from __future__ import annotations

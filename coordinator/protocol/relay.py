@@ -46,7 +46,7 @@ class OrdersRequest(Model):
     most: Annotated[int, Field(ge=0, le=MAX_ORDERS)]
     """Maximum number of orders in the reply."""
     busy: Hosts = ()
-    """Hosts of which the gateway has enough bundles."""
+    """Hosts from which the gateway is already pulling enough bundles."""
 
 
 class RelayOrder(Model):

@@ -74,7 +74,7 @@ class Progress(Model):
     workers: Annotated[tuple[WorkerStatus, ...], Field(max_length=_MAX_SESSIONS)]
     """Workers of the run."""
     hosts: Annotated[tuple[HostStatus, ...], Field(max_length=_MAX_SESSIONS)] = ()
-    """Hosts that pause or are barred."""
+    """Hosts that are paused or barred."""
     by_gateway: Counts = Field(default_factory=dict)
     """Number of archived episodes that each gateway stores, by its name; the coordinator stores all others."""
     layouts: Counts = Field(default_factory=dict)

@@ -17,7 +17,8 @@ MAX_MEASURED_IMAGES = 60_000
 """Largest number of stored images and scans of an episode; a bundle has at most 65,535 members, frames included."""
 _MOST_RADIAL = 3.0
 """Upper bound of the radial depth of a camera, as a multiple of `far_m`. A camera is rendered to a single image plane,
-up to 63 degrees from the optical axis along rows and columns, or to the sides of a cube, up to 45 degrees."""
+which reaches at most 63 degrees from the optical axis along rows and columns, or to the sides of a cube, which reach
+45 degrees."""
 
 
 def is_of_motion(sensor: Sensor) -> bool:

@@ -47,7 +47,7 @@ class StoreRelay:
         self.ignores_conditions = False
         """Forwards requests without their `If-` headers."""
         self.watch: Callable[[Moment, str, str], bool] = lambda _moment, _command, _path: False
-        """(moment, method, path) -> whether the sender has disconnected; called in the relaying thread at each moment
+        """(moment, method, path) -> whether the sender has disconnected; called in the relaying thread at each stage
         of each request. If the sender has disconnected, the rest of the request is not relayed."""
         relay = self
 

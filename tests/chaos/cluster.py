@@ -52,7 +52,7 @@ class ClusterCommands:
     longest_s: float
     """Timeout of a round, seconds."""
     has_small_disk: bool
-    """Whether the coordinator can write to a disk of a few megabytes."""
+    """Whether the coordinator keeps its files on the small test disk, if there is one."""
     modules: tuple[str, ...] = ()
     """Modules that the fork server imports in advance; if empty, no fork server is used."""
     gateways: int = 0
@@ -143,7 +143,7 @@ class ChaosCluster(Closing):
         commands: commands that start the processes.
         workers: number of hosts.
         disk: disk of the coordinator; `None` for an ordinary folder.
-        damage: share of the attempts of an additional faulty host that it damages; 0 for no faulty host.
+        damage: share of its attempts that an additional faulty host damages; with 0, no faulty host is added.
     """
 
     def __init__(

@@ -1,6 +1,7 @@
 """Defines the faults of a campaign, each in one entry of `FAULTS`.
 
-A fault is injected only into a process that works at that moment. The returned span records the later effects.
+A fault is injected only into a process that is in the required state, such as running a job. Each function of a fault
+returns a span, which records the effects.
 """
 
 from __future__ import annotations

@@ -49,9 +49,9 @@ _HELD_S = 4.0
 """Time for which a job is held without progress, seconds."""
 _SLOW_S, _SLOW_BYTES = 0.3, 512
 """Delay before a session answers a request for a chunk of a slow bundle, seconds, and the size of the answer, bytes."""
-_PAUSES = "no job for a hostile peer that pauses or is barred"
+_PAUSES = "no job for a hostile peer that is paused or barred"
 _RETRY_S = 0.5
-"""Threshold of the retry delay in a claim reply, seconds. A longer delay means that the host pauses or is barred."""
+"""Threshold of the retry delay in a claim reply, seconds. A longer delay means that the host is paused or barred."""
 
 Key = tuple[int, int]
 """ID of a job and fence of its lease."""
@@ -217,7 +217,9 @@ class HostilePeer:
         if self._rng.random() < 0.3:
             beat = Beat(sid=session.sid, live=(LeaseProgress(lease=lease, step=1),))
             reply: Model | None = session.ask(Verb.BEAT, beat, BeatReply)
-            return isinstance(reply, BeatReply) and self._must(lease in reply.lost, "a token of another host is kept")
+            return isinstance(reply, BeatReply) and self._must(
+                lease in reply.lost, "a heartbeat with a token of another host is accepted"
+            )
         if self._rng.random() < 0.5:
             reply = session.ask(Verb.FAIL, Fail(sid=session.sid, lease=lease, reason=reason), Ack)
         else:

@@ -1,7 +1,7 @@
 """Applies the drawn appearance of an episode to its compiled scene: light, materials and clutter. Pure functions.
 
-Geometry, instance ids and the order of the parts stay; clutter is added at the end. The result is a compiled scene
-that every renderer and ray caster takes.
+Geometry, instance ids and the order of the parts are unchanged; clutter is added at the end. The result is a compiled
+scene that every renderer and ray caster takes.
 """
 
 from __future__ import annotations

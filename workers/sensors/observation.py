@@ -119,7 +119,7 @@ def arrays_in(observation: Observation) -> dict[str, NDArray[Any]]:
 def _colour(
     camera: Camera, t: int, track: Trajectory, scene: Surroundings, rgb: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Returns the recorded colour; renders more images if motion blur or a rolling shutter needs several times."""
+    """Returns the measured colour; renders more images if motion blur or a rolling shutter needs several poses."""
     times = colour_steps(camera, t, track.control_hz)
     between = [Pose.of(row) for row in poses_at(track.poses, times)] if len(times) > 1 else []
     images = [scene.render_camera(pose, camera).rgb for pose in between] or [rgb]

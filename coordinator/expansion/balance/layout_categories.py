@@ -2,7 +2,7 @@
 
 A family has a sequence of seen categories and a sequence of held-out categories. A sequence consists of random
 permutations of its categories, so their numbers of episodes differ by at most one. The plan assigns positions
-in these sequences to each layout; its episodes have the categories at its positions.
+in these sequences to each layout; the episodes of a layout have the categories at its positions.
 """
 
 from __future__ import annotations

@@ -25,12 +25,12 @@ _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
 _ABOUT_PAPER = (
     "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances; explanations use TL + NE instead, "
-    "which is exact for straight trajectories. A difference is explained if it exceeds a threshold: 5 % in lengths and "
-    "steps (15 % for far starts, of which the paper has 14), 5 mm in NE (1 mm in its standard deviation), 2 percentage "
-    "points in shares, and 0.02 in r. The target is the paper's number plus or minus this threshold; for success "
-    "rates, it is the published range. The verdict is inside if the whole 95 % interval is in the target, outside if "
-    "no part of the interval is, and undecided otherwise. Intervals are Student's t for means, Wilson for shares, "
-    "Fisher z for r; they do not include the paper's own uncertainty."
+    "which is exact for straight trajectories. The page explains each difference that exceeds a threshold: 5 % in "
+    "lengths and steps (15 % for far starts, of which the paper has 14), 5 mm in NE (1 mm in its standard deviation), "
+    "2 percentage points in shares, and 0.02 in r. The target is the paper's number plus or minus this threshold; for "
+    "success rates, it is the published range. The verdict is inside if the whole 95 % interval is in the target, "
+    "outside if no part of the interval is, and undecided otherwise. Intervals are Student's t for means, Wilson for "
+    "shares, Fisher z for r; they do not include the paper's own uncertainty."
 )
 
 

@@ -29,8 +29,8 @@ _LATER = frozenset(Family) - {Family.VIEW}
 """Features that the last step of a route with several steps may use. `VIEW` is excluded, because "as seen from here"
 would mean the start of the route."""
 _SHORT_M = 0.8
-"""Longest end of a straight run that gets no separate step, metres. Such an end joins the previous step of the run, or
-the turn after the run if the run has no step."""
+"""Maximum length of the remainder of a straight run that gets no separate step, metres. Such a remainder joins the
+previous step of the run, or the turn after the run if the run has no step."""
 _BEYOND_M = 0.3
 """Distance that a step continues after a doorway or an object, metres."""
 _APART_M = 2.0
@@ -38,7 +38,7 @@ _APART_M = 2.0
 _NEAR_M = 3.0
 _NEARER_M = (4.0, 2.5, 1.5, 0.8, 0.4, 0.2)
 """Distances before the end of the path at which the last step may begin, metres. They are tried in this order, until
-some words fit only the target."""
+a description fits only the target."""
 _CUTS_RAD = (math.radians(60), math.radians(90), math.radians(120))
 """Headings at which a long turn is divided, relative to the heading at its start."""
 _SMALLEST_RAD = limit.TURN_RAD[TurnSize.SLIGHT][0]
@@ -313,8 +313,8 @@ class RouteSearch:
     def _arrival(self, start: int, end: int, left_m: float) -> list[SpannedStep]:
         """Returns the last step; or a step that goes straight on, and a last step that begins nearer to the target.
 
-        The last step begins at the first of several places from which some words fit only the target. Without such a
-        place, the result is empty.
+        Several places are tried in order; the last step begins at the first one from which a description fits only the
+        target. Without such a place, the result is empty.
         """
         stop = self._stop(start, end)
         if stop is not None:

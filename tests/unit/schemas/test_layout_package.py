@@ -1,4 +1,5 @@
-"""Packages of format 4: their textures are separate files that packages share; only a complete package has them."""
+"""Packages of format 4: their textures are separate files that several packages share, or members of a complete
+package."""
 
 from __future__ import annotations
 

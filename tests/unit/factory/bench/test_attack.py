@@ -1,4 +1,4 @@
-"""The hostile clients of the benchmark treat a connection reset at any moment as an answer."""
+"""Tests that the hostile clients of the benchmark report a connection reset at any moment, and continue a flood."""
 
 from __future__ import annotations
 
