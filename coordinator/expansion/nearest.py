@@ -64,7 +64,7 @@ def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | No
     found = scene_cells(plan, part, entry)
     if all(found.pool(*cell) for cell in found.quota):
         return part
-    # if a cell has no target, training and evaluation may share instances
+    # which cells would have targets if training and evaluation shared instances
     free = plan.model_copy(update={"disjoint_instances": False})
     tiers, splits = _positive(plan.tiers_of(part)), _positive(plan.splits_of(part))
     shared = scene_cells(free, part, entry)

@@ -35,7 +35,7 @@ class SceneCells:
 
     @cached_property
     def sides(self) -> Sides:
-        """Whether each instance is for training or for evaluation, if the plan separates instances."""
+        """Side of each instance (training, evaluation or both), if the plan separates instances."""
         return sides_of(self.plan, self.scene, self.wording.targets, self.quota)
 
     @property

@@ -51,7 +51,7 @@ def recorded_files(connection: Connection, *, digests: bool = True) -> Mapping[i
 
     Args:
         connection: connection for reading.
-        digests: whether the records have digests, which take half of the memory of the records.
+        digests: whether the records contain digests, which are half of their size.
     """
     away = gateways_by_episode(connection)
     columns = (episodes.c.idx, episodes.c.size, *((episodes.c.sha256,) if digests else ()))

@@ -86,7 +86,7 @@ def correlations(episodes: Episodes, scenes: Iterable[str]) -> tuple[Fit, ...]:
 
 
 def far_starts(episodes: Episodes, scenes: Iterable[str], radius_m: float, least_m: float) -> tuple[FarRow, ...]:
-    """Returns the distances along the floor of the far starts of each scene and of all scenes.
+    """Returns, for each scene and for all scenes, how far along the floor far starts are from their targets.
 
     Args:
         episodes: Rows of the episodes.

@@ -277,7 +277,7 @@ _MESSAGES: Mapping[str, Callable[[HostilePeer, _Session], bool]] = {
 }
 """Kind -> function that attacks and returns whether the coordinator refused the request."""
 _BUNDLES: Mapping[str, Callable[[Job, random.Random], tuple[bytes, str, int]]] = {
-    "7 bytes of a hostile peer": lambda _job, _rng: _announced(b"7 bytes"),
+    "bundle of 7 bytes from a hostile peer": lambda _job, _rng: _announced(b"7 bytes"),
     "huge size announced by a hostile peer": lambda _job, _rng: (b"7 bytes", "0" * 64, MAX_BUNDLE_BYTES + 1),
     "wrong SHA-256 announced by a hostile peer": lambda job, _rng: _mistitled(job),
     "forged bundle of a hostile peer": _forge,

@@ -1,4 +1,4 @@
-"""Reads the paper's tree, with which the readers compare other exports. Does not import this project."""
+"""Reads an export in the format `paper`, with which other exports are compared. Does not import this project."""
 
 import json
 from pathlib import Path

@@ -34,7 +34,7 @@ class Phase:
         self.stopping = threading.Event()
         """Set when the worker also kills its current attempts and returns their jobs."""
         self.moved = threading.Event()
-        """Set when another run takes the place of this one."""
+        """Set when another run replaces this one, or an evaluation has priority."""
         self.heartbeat_due = threading.Event()
         """Set when a heartbeat is due at once: the worker closes, or the spool is half full."""
         self.error: BaseException | None = None

@@ -54,7 +54,9 @@ class Termination:
         return EndReason.TIMEOUT if self._frames >= self._task.max_steps else None
 
     def would_stall(self, x_m: float, y_m: float, commanded_mps: float) -> bool:
-        """Returns whether the robot has made no progress up to the next frame; only then `is_blocked` has an effect.
+        """Returns whether a robot that is commanded forward makes no progress in the steps up to the next frame.
+
+        Otherwise, `is_blocked` has no effect.
 
         Args:
             x_m: x of base_link in the next frame, metres.

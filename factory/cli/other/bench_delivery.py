@@ -26,7 +26,7 @@ from factory.cli.common.options import count_option, json_option, pullers_option
 @record_option
 @json_option
 def delivery(**options: Any) -> None:
-    """Measure how many valid bundles a coordinator archives.
+    """Measure the rate at which a coordinator archives valid bundles.
 
     Simulated workers deliver copies of two recorded episodes over the network, with central validation and with spot
     checks of bundles that the workers have validated. The datasets are written to the directory for temporary files;

@@ -108,7 +108,9 @@ class EvalReport(Model):
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
         if (self.kind is EvalReportKind.RESULT) != (self.result is not None):
-            raise ValueError("only a message of kind `result` has the field `result`, which it requires")
+            raise ValueError(
+                "the field `result` is required in a message of kind `result`, and not permitted in others"
+            )
         return self
 
 

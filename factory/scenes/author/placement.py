@@ -175,7 +175,7 @@ class FloorPlan:
     def seat(
         self, model: PropModel, x: float, y: float, yaw: float, room: Rectangle, of: PropPlacement
     ) -> PropPlacement | None:
-        """Places a seat that may touch the piece at which it stands, and nothing else; `None` if it does not fit."""
+        """Places a seat, which may touch only the piece of furniture `of`; returns `None` if it does not fit."""
         print_ = footprint(model, x, y, yaw)
         if any(print_.overlaps(other) for other in self.taken if other != of.floor_box):
             return None

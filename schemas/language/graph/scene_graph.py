@@ -65,7 +65,7 @@ class SceneObject:
     looks: str | None = None
     """Kind in the name of its prim, if it differs from `kind` and a viewer may see the object as that kind."""
     shows: tuple[str, ...] = ()
-    """Kinds of objects that a viewer may see in a part of it, such as a monitor in the screen of a till."""
+    """Kinds for which a viewer may mistake a part of it; for example, the screen of a till looks like a monitor."""
     area: int = 0
     """Number of the part of its room; wide openings divide a room into parts. 0 if unknown."""
     materials: tuple[str, ...] = ()
