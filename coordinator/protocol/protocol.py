@@ -62,9 +62,9 @@ _MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
 )
 """Maximum message size by verb, bytes; `_SMALL_MESSAGE_BYTES` for other verbs."""
 _NAME_END, _BYTES_A_NAME = b'":', 24
-"""A JSON message may have one key per `_BYTES_A_NAME` bytes of the maximum message size of its verb; keys are counted by
-`_NAME_END`. Otherwise, each of thousands of unknown keys would cause a separate validation error. A full heartbeat has
-27 bytes per key."""
+"""A JSON message may have one key per `_BYTES_A_NAME` bytes of the maximum message size of its verb; keys are counted
+by `_NAME_END`. Otherwise, each of thousands of unknown keys would cause a separate validation error. A full heartbeat
+has 27 bytes per key."""
 _SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
