@@ -11,5 +11,5 @@ MAX_PULLERS = 64
 
 
 def pullers_for(cores: int) -> int:
-    """Returns the number of pullers of a coordinator that has a host to itself; a puller validates on one core."""
+    """Returns the number of pullers of a coordinator alone on a host: one per core, as each validates on one core."""
     return min(max(2, cores), MAX_PULLERS)

@@ -81,7 +81,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
             The number of packed episodes.
 
         Raises:
-            WorldError: the disk is full or unavailable; each episode is stored.
+            WorldError: the disk is full or unavailable; no episode is lost.
         """
 
     def write_shard_index(self) -> None:

@@ -255,7 +255,7 @@ def _choice_view(plan: Plan, language: LanguageSpec, entry: SceneEntry, planned:
 def _rank_rng(plan: Plan, planned: PlannedJob) -> np.random.Generator:
     """Returns a random generator that yields the same numbers for all draws of an episode.
 
-    A rank or target for which few starts are suitable fails more often. If redraws used new random numbers, such ranks
+    Attempts fail more often if few starts suit the drawn rank or target. If redraws used new random numbers, such ranks
     and targets would be too rare in the dataset.
     """
     return np.random.default_rng(np.random.SeedSequence((plan.seed, _RANK_STREAM, planned.index)))

@@ -40,7 +40,7 @@ class RunLedger(Closing):
             self._stack = stack.pop_all()
 
     def start_writer(self) -> None:
-        """Starts the thread that does all further writing: `writer`."""
+        """Starts `writer`, the thread that does all further writing."""
         self.writer = self._stack.enter_context(Writer(self.engine))
         """Writer thread, which commits in groups."""
         self._is_usable = True

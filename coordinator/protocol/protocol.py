@@ -102,7 +102,7 @@ class Terms:
     find_states: FindStates = simulate_all
     """Function that returns the states recording of a job."""
     memory: dict[str, HostMemory] = field(default_factory=dict)
-    """Memory in the last heartbeat by host."""
+    """Memory that each host reported in its last heartbeat, by the name of the host."""
     textures: dict[str, frozenset[str]] = field(default_factory=dict)
     """SHA-256 of the stored textures by family."""
     workers_validate: bool = False

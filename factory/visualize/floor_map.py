@@ -91,7 +91,10 @@ def trace_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
 
 
 def _directed_edges(mask: NDArray[np.bool_]) -> dict[Corner, list[Corner]]:
-    """Returns the next corners of each corner; the region is left of each edge if the row axis points up."""
+    """Returns the corners that follow each corner along the outline.
+
+    The region is left of each edge if the row axis points up.
+    """
     padded = np.pad(mask, 1)
     following: dict[Corner, list[Corner]] = defaultdict(list)
     below, here = padded[:-1, 1:-1], padded[1:, 1:-1]

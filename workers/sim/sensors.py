@@ -25,7 +25,7 @@ from workers.sensors.observation import Observation, Surroundings, Trajectory, a
 from workers.sim.scene_renderer import LoadedScene
 
 _EXCESS = 1.1
-"""Estimated stored size of a rig above which the rig is refused, as a multiple of the limit."""
+"""A rig is refused if the estimated size of its measurements exceeds this multiple of the limit."""
 
 
 class LoadedSurroundings:

@@ -56,7 +56,7 @@ class Termination:
     def would_stall(self, x_m: float, y_m: float, commanded_mps: float) -> bool:
         """Returns whether a robot that is commanded forward makes no progress in the steps up to the next frame.
 
-        Otherwise, `is_blocked` has no effect.
+        If it returns `False`, `evaluate` ignores `is_blocked`.
 
         Args:
             x_m: x of base_link in the next frame, metres.

@@ -230,7 +230,7 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
     """Compares the counters of open jobs with their recorded attempts and events."""
     for row in connection.execute(text(_HISTORY)):
         attempt = row.last_attempt if row.last_attempt is not None else row.former if row.draw else 1
-        # two changes of the attempt number have no event: the first attempt of a draw, and `record_failures`
+        # the attempt number changes without an event when a draw begins, and in `record_failures`
         if row.attempt <= (row.settled or 0) or (attempt is not None and row.attempt < attempt):
             yield f"is damaged: episode {row.idx} is at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)

@@ -136,7 +136,7 @@ def test_holes_cover_the_given_share_in_spots_of_several_pixels(share: float) ->
     assert found.mean() == pytest.approx(share, abs=0.15 * share + 1e-9)
     if 0 < share < 0.1:
         borders = (found[:, :, 1:] != found[:, :, :-1]).mean()
-        assert borders < found.mean() / 3  # holes of single pixels would have borders of twice their share
+        assert borders < found.mean() / 3  # 2 * share if each hole was a single pixel
 
 
 def test_holes_differ_between_steps() -> None:
