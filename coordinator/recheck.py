@@ -72,7 +72,7 @@ class Rechecks:
 
     def _remove(self, index: int, refusal: str) -> None:
         """Quarantines an episode and queues its job again; the next start completes an interrupted move."""
-        why = f"its worker announced it as valid: {refusal}"
+        why = f"its worker announced it as valid, but it is invalid: {refusal}"
         self._run.archive.quarantine(self._run.archive.path_of(index), why)
         now = self._run.clock()
         self._run.ledger.writer.call(lambda connection: lose(connection, index, now, why))

@@ -25,7 +25,7 @@ class RunFinished(WorldError):
 
 
 class LayoutError(WorldError):
-    """Seed of a built-in scene without a valid layout; the caller takes another seed."""
+    """Seed that gives no valid layout of a built-in scene; the caller tries another seed."""
 
 
 class TransientError(FactoryError):

@@ -132,7 +132,7 @@ class Goal:
         return gap, point + gaps_to(point, np.asarray(self.footprint_m)) * (gap / max(distance, 1e-9))
 
     def ring(self, directions: Floats, distance_m: ArrayLike) -> Floats:
-        """Returns the points (N, 2) at distances from the target, on rays from its centroid.
+        """Returns the points (N, 2) at given distances from the target, on rays from its centroid.
 
         Args:
             directions: (N, 2) unit vectors.

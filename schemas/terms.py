@@ -42,8 +42,8 @@ class Split(StrEnum):
     TEST_PARAPHRASE_OOD = "test_paraphrase_ood"  # seen categories, paraphrased templates
     TEST_OOD_OBJ = "test_ood_obj"  # held-out categories, training templates
     TEST_UNSEEN_SCENE = "test_unseen_scene"  # as `test_id`, in layouts of the unseen-scene splits only
-    TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # `test_paraphrase_ood` in such layouts
-    TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # `test_ood_obj` in such layouts
+    TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # as `test_paraphrase_ood`, in such layouts
+    TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # as `test_ood_obj`, in such layouts
     TEST_FALSE_PREMISE = "test_false_premise"  # the named object does not exist; the robot stops (docs/language.md)
 
     @property

@@ -24,7 +24,7 @@ from tests.builders.tools import find_system_tools
 find_system_tools()  # before test modules look for tools
 fork_children_from_interpreter(("factory.__main__", *IMPORTED, *IMPORTED_BY_TESTS))
 atexit.register(gc.freeze)  # garbage collections at the exit of the interpreter would take seconds
-# no test depends on the speed of the machine
+# tests must not depend on the speed of the machine
 hypothesis.settings.register_profile(
     "any-speed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )

@@ -93,7 +93,7 @@ def test_text_has_no_banned_phrase_and_no_former_name(part: str) -> None:
     assert not found, "\n".join([f"{len(found)} phrases to rewrite:", *found])
 
 
-def test_identifiers_and_code_are_not_text() -> None:
+def test_identifiers_and_code_are_not_checked() -> None:
     source = (
         "def stands_in(nobody):\n    return nobody  # a comment\n\n\n"
         "name = 'nobody', 'two words'\nvalue = f'a {stands_in(1)} b'\n"

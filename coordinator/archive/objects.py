@@ -154,7 +154,8 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return place
 
     def _explained(self, path: ObjectPath | PackedPath, reason: str) -> ObjectPath:
-        """Writes the reason to the quarantine folder. Returns an unused path there, to which the caller copies."""
+        """Writes the reason to the quarantine folder. Returns an unused path there, for the copy that the
+        caller makes."""
         place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
         self._objects.put(f"{place.key}.reason.txt", f"{path}\n{reason}\n".encode())
         log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
@@ -228,7 +229,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         )
 
     def close(self) -> None:
-        """Releases the dataset, so a run with another local directory can open it."""
+        """Releases the dataset, so a coordinator with another state directory can open it."""
         try:
             if _holder(self.root).get("home") == self._id:
                 self._objects.delete(_LOCK)
@@ -237,7 +238,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
                 "lock_left_behind",
                 dataset=str(self.root),
                 error=str(error),
-                remedy="open the dataset with the same local directory",
+                remedy="open the dataset with the same state directory",
             )
         finally:
             self._staging.close()

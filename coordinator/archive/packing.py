@@ -1,8 +1,8 @@
 """Base class of archives: episodes are files, or members of shards. Independent of the storage.
 
-A shard is written, synced and published before the files of its episodes are deleted. After an interruption, opening
-the archive deletes what is stored twice with the same bytes, and quarantines files that differ. The module does not
-decide which episodes are packed.
+A shard is written, synced and published before the files of its episodes are deleted, so an interruption can leave an
+episode that is stored twice. When the archive is opened, one of the two copies is deleted if their bytes are equal,
+and quarantined if they differ. The module does not decide which episodes are packed.
 """
 
 from __future__ import annotations

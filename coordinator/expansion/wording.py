@@ -1,4 +1,4 @@
-"""Selects the templates that a plan permits for a target, and the targets that have one."""
+"""Selects the templates that a plan permits for a target, and the targets that have a permitted template."""
 
 from __future__ import annotations
 

@@ -186,7 +186,7 @@ def fail(
 
 
 def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool:
-    """Requeues an archived episode with a missing file, with the same attempt number and hence the same content."""
+    """Requeues an archived episode whose file is missing or invalid; its attempt is repeated with the same number."""
     if _LOSE.make(connection, {"index": index}, now, detail=detail) is None:
         return False
     succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)

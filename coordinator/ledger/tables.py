@@ -10,7 +10,7 @@ from sqlalchemy import text as sql
 
 LEDGER_FORMAT = 4
 """Format version. Since format 2, gateways may store episodes, which an older coordinator would regard as lost. Since
-format 3, jobs may build layouts. Since format 4, the events of task and worker failures have other names."""
+format 3, jobs may build layouts. Since format 4, the events of task and worker failures have new names."""
 
 ADDED_LATER = frozenset({"hosts", "keepers", "unchecked_episodes", "job_tallies", "attempt_tallies"})
 """Tables that an intact ledger of an older format lacks; opening it for writing adds them."""

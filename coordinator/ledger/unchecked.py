@@ -30,7 +30,7 @@ def note_unchecked(connection: Connection, index: int, host: str) -> None:
 
 
 def note_checked(connection: Connection, index: int) -> None:
-    """Records that the coordinator has validated an episode completely, or that the episode is lost."""
+    """Records that the coordinator has validated an episode completely."""
     connection.execute(delete(unchecked_episodes).where(unchecked_episodes.c.idx == index))
 
 
@@ -45,7 +45,7 @@ def suspects(connection: Connection, most: int) -> Sequence[int]:
 
 
 def bar_at_once(connection: Connection, host: str, reason: str, now: datetime) -> None:
-    """Bars a host that announced an invalid bundle as valid; within the transaction that refuses the bundle.
+    """Bars a host that announced an invalid bundle as valid. Runs in the transaction that refuses the bundle.
 
     The caller has recorded the failure before, so the host has a row in the table `hosts`.
     """

@@ -152,7 +152,7 @@ def parse(
     if len(payload) > most:
         return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")
     if most < MAX_MESSAGE_BYTES and payload.count(_NAME_END) > most // _BYTES_A_NAME:
-        return Refusal(error=f"{verb}: more names than this message allows; check that both sides run the same version")
+        return Refusal(error=f"{verb}: more keys than this message allows; check that both sides run the same version")
     try:
         message = known[Verb(verb)].model_validate_json(payload)
     except ValidationError as error:

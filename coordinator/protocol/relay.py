@@ -1,6 +1,7 @@
 """Defines the messages between a gateway and its core: orders, results and inventories. Contains no behaviour.
 
-Every message is idempotent. The request key names the gateway, so access control binds it to its certificate.
+Every message is idempotent. The request key contains the name of the gateway, so access control can compare it with the
+certificate.
 """
 
 from __future__ import annotations

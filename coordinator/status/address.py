@@ -25,7 +25,8 @@ def parse_address(text: str, token: str | None, *, is_encrypted: bool = False) -
     """Parses HOST:PORT.
 
     Args:
-        text: address such as `127.0.0.1:9464`, `[::1]:9464` or `:9464`, which is every address of this machine.
+        text: address such as `127.0.0.1:9464`, `[::1]:9464` or `:9464`; without a host, all addresses of this
+            machine.
         token: token that requests require; `None` allows loopback only.
         is_encrypted: whether clients need a certificate, which allows every address without a token.
 

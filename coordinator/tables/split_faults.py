@@ -33,7 +33,7 @@ class FaultKind(StrEnum):
     ABSENT = "absent"  # `metadata.parquet` has rows for the file, which is missing
     SURPLUS = "surplus"  # the file exists, but `metadata.parquet` has no rows for it
     DAMAGED = "damaged"  # the file or one of its thumbnails is unreadable
-    OUTDATED = "outdated"  # rows differ from `metadata.parquet`, or a thumbnail is missing whose episode file exists
+    OUTDATED = "outdated"  # rows differ from `metadata.parquet`, or lack the thumbnail of an existing episode file
 
 
 class SplitFault(NamedTuple):

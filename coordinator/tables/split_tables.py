@@ -62,8 +62,8 @@ def write_split_tables(
         seconds: time limit for thumbnails, seconds; thumbnails that are not made in time are null until the next call.
             `None` sets no limit.
         deep: whether to check every row and thumbnail for damage, instead of the metadata of each file only.
-        draw: function that renders frame 0 of an episode without stored frames, by id; missing thumbnails are then
-            made with it.
+        draw: function that renders frame 0 of an episode, given its id, for the thumbnails of a dataset without stored
+            frames; `None` renders no thumbnails.
 
     Raises:
         WorldError: the disk is full or unavailable; each file is complete, either the previous or the new version.

@@ -55,7 +55,9 @@ class LocalLedgerClient:
             now = self._clock()
             fail_attempt(connection, report, self._terms, now)
             if is_false:
-                unchecked.bar_at_once(connection, host_of(pull.sid), f"announced as valid: {report.detail}", now)
+                unchecked.bar_at_once(
+                    connection, host_of(pull.sid), f"invalid bundle, announced as valid: {report.detail}", now
+                )
 
         self._writer.call(refuse)
 

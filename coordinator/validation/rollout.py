@@ -63,7 +63,7 @@ def arrival_findings(meta: EpisodeMeta, pixels: int) -> list[str]:
     at_end = pixels >= least
     found = []
     if meta.rollout.target_in_view not in (at_end, None):
-        shown = f"the last frame shows {pixels} pixels of the target; it is in view from {least} pixels"
+        shown = f"the last frame shows {pixels} pixels of the target; a target in view has at least {least} pixels"
         found.append(f"target_in_view {meta.rollout.target_in_view}, but {shown}")
     if meta.job.demonstration.target_in_view and not at_end:
         found.append(f"the last frame shows {pixels} pixels of the target, the plan requires {least}")

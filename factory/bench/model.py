@@ -83,7 +83,8 @@ class SceneRollout(Model):
     cpu: Spread
     """Frames per second of CPU time."""
     by_job: Spread
-    """Frames per second of wall time over the episodes of the first repetition. Shows the influence of the view."""
+    """Frames per second of wall time of the successful episodes in the first repetition. Their views differ, so the
+    range shows the influence of the view."""
     stages: tuple[StageCost, ...]
     delivery: tuple[StageCost, ...]
     """Cost of `validate` and `archive` in the coordinator; not included in the values above."""

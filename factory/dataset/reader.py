@@ -68,8 +68,8 @@ class Dataset:
     Raises:
         WorldError: The directory contains no dataset, or its format is newer than this software.
         ArchiveCorrupt: The tables are damaged.
-        UsageError: The rig does not exist, has mistakes, or has a rate that does not divide the control rate;
-            the appearance does not exist or has mistakes, or the dataset stores frames.
+        UsageError: The rig does not exist, has mistakes, or has a rate that does not divide the control rate; or
+            `appearance` does not exist, has mistakes, or is given for a dataset that stores frames.
     """
 
     def __init__(

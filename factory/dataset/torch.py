@@ -52,9 +52,9 @@ class FrameBatch(list[Sample]):
 class ClipDataset:
     """Map-style dataset of clips: `length` frames of one episode, indexed over all episodes in order.
 
-    A clip is complete; shorter episodes have no sample. Loading is fastest with `collate` and without worker processes,
-    `DataLoader(clips, 16, sampler=SceneSampler(clips), collate_fn=collate)`: threads decode or render a batch on all
-    cores.
+    Clips are never padded: an episode that is shorter than a clip has no sample. Loading is fastest with `collate` and
+    without worker processes, `DataLoader(clips, 16, sampler=SceneSampler(clips), collate_fn=collate)`: threads decode
+    or render a batch on all cores.
 
     Frames of 640 pixels without antialiasing are those of the recording. Frames of other sizes are rendered, whether
     the episode stores frames or states, so both recordings give equal samples (docs/dataset.md#recordings).

@@ -109,7 +109,7 @@ class McapOptions(Decimated):
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Omits unused options, so the manifests of exports without them do not change."""
+        """Omits unused options, so manifests without them equal those of versions that did not have these options."""
         data: dict[str, object] = serialize(self)
         return {key: value for key, value in data.items() if value or key not in ("ros2", "start_time")}
 

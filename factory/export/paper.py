@@ -1,6 +1,6 @@
 """Format `paper`: the directory tree in the paper's table of episode files, one file per frame and sensor; lossless.
 
-From a states dataset it writes the tree of the frames dataset: it renders the frames and computes their digests.
+A states dataset gives the same tree as a frames dataset: the frames are rendered, and their digests are computed.
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ def recorded_paraphrases(out: Path, spec: LanguageSpec) -> LanguageSpec | None:
 
 
 def _jobs(dataset: Dataset) -> Iterator[_Job]:
-    """Yields the scenes with their episodes, in the order of the first episode."""
+    """Yields each scene with its episodes; the scenes are ordered by their first episodes."""
     columns = pa.table({name: dataset.column(name) for name in _COLUMNS})
     for sha256 in pc.unique(columns["scene_sha256"]).to_pylist():
         rows = columns.filter(pc.equal(columns["scene_sha256"], sha256)).to_pylist()

@@ -107,7 +107,7 @@ def _thin(track: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _best_frame(episode: Episode) -> FrameSample:
-    """Returns the frame, among several spread over the episode, whose target size is nearest to the preferred share."""
+    """Samples frames evenly; returns the one whose share of target pixels is nearest to `_SHARE_WANTED`."""
     target = episode.meta.target_instance_id
     steps = np.unique(np.linspace(0, len(episode) - 1, _FRAMES_TRIED).round().astype(int))
     masks = {int(t): episode.ids(int(t)) == target for t in steps}

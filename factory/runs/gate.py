@@ -152,7 +152,7 @@ class _TrialProcess:
     def __init__(self, run: GateRun, bundle: Path, slots: int) -> None:
         self._run, self._bundle = run, bundle
         self._poll_s = _POLL_S / slots
-        # a process is polled for 1/slots of the time, and only this time counts as time without a report
+        # `receive` counts only the time that it waits itself: 1/slots of the total, because the processes take turns
         limit_s = _HANG_S / slots
         self._simulation = Simulation(run.command, limit_s, limit_s)
         self._job: Job | None = None

@@ -115,8 +115,8 @@ def run_locally(
 
     Raises:
         WorldError: Another process uses the directory, it cannot be written, or workers crash repeatedly.
-        UsageError: The directory contains another plan, this version does not have the expert, or a package that a
-            sensor needs is not installed.
+        UsageError: The directory contains another plan, this version does not have the expert of the plan, or a
+            package that a sensor needs is not installed.
     """
     require_expert(run.plan.expert)
     require_sensor_packages(run.plan.rig)

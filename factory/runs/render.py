@@ -106,7 +106,9 @@ def prepare_rendering(
         _require_room(dataset, site.state_dir)
     if missing := plan.episodes - len(dataset):
         log.warning(
-            "states_missing", episodes=missing, remedy="finish the recording first; otherwise these are simulated"
+            "states_missing",
+            episodes=missing,
+            remedy="finish the recording first; otherwise the missing episodes are simulated",
         )
     if recorded is None:
         _write_tables(dataset, meta, site)
@@ -159,7 +161,8 @@ def _write_tables(dataset: Dataset, meta: DatasetMeta, site: Site) -> None:
 
 
 class StatesSource:
-    """Function that returns the recorded states of a job as base64, or `None` if the dataset has no intact file."""
+    """Function that returns the recorded states of a job as base64, or `None` if the dataset has no intact file of the
+    episode."""
 
     def __init__(self, dataset: Dataset) -> None:
         self._root = dataset.root

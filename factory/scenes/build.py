@@ -74,8 +74,8 @@ def build_scene(
 ) -> Path:
     """Authors and compiles a built-in scene unless the cache contains its package.
 
-    Seed 0 of a scene of the paper, if `called` is not another name, is the layout of the paper. All other seeds and
-    names are layouts of the family.
+    Seed 0 of a scene of the paper gives the layout of the paper, unless `called` is another name. All other seeds and
+    names give layouts of the family.
 
     Args:
         name: one of `BUILTIN_SCENES`.
@@ -161,7 +161,7 @@ def _is_paper(name: str, seed: int, called: str | None) -> bool:
 
 
 def rules_of(name: str) -> RuleBook:
-    """Returns the rules of a built-in scene, for the paper's categories or for the categories of a family."""
+    """Returns the rules of a built-in scene. Scenes of the paper use the paper's categories, other scenes their own."""
     seen, held_out = BUILTIN_CATEGORIES[name]
     return builtin_rules().only(CATEGORIES if name in PAPER_SCENES else {*seen, *held_out})
 

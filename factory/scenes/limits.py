@@ -39,7 +39,7 @@ class StageLimits:
     floor_m: float | None = None
     """Height of a flat floor that is added to a scene without one, metres; `None` adds none."""
     skip_missing: bool = False
-    """Whether a world is read without the models and meshes that are missing, each with a note."""
+    """Whether missing models and meshes of a world are skipped, each with a note."""
 
 
 USUAL_LIMITS = StageLimits()

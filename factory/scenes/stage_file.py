@@ -152,7 +152,7 @@ def _kind_of(head: bytes) -> str:
 
 
 def _names_gltf(text: str) -> bool:
-    """Returns whether a text is glTF (an `asset` with a `version`). A truncated document is matched as text."""
+    """Returns whether a text is glTF: JSON with the key `asset`. A truncated document is searched for typical keys."""
     try:
         document = json.loads(text)
     except ValueError:

@@ -42,7 +42,7 @@ def read_yaml(text: str) -> Any:
     if len(text) > _MOST_CHARS:
         raise yaml.YAMLError(f"it has {len(text)} characters; at most {_MOST_CHARS} are read")
     try:
-        return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+        return yaml.load(text, _Loader)  # noqa: S506 - `_Loader` is a SafeLoader
     except RecursionError as error:
         raise yaml.YAMLError("its values are nested too deeply") from error
     except (ValueError, TypeError, OverflowError) as error:

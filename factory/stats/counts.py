@@ -68,7 +68,7 @@ def _overlaps_in(scene: str, episodes: Episodes) -> Iterator[OverlapRow]:
     here = [row for row in episodes if scene in (ALL, family_of(row.scene))]
     trained = {(row.scene, row.target_id) for row in here if row.split is Split.TRAIN_ID}
     for split in Split:
-        if split in (Split.TRAIN_ID, Split.TEST_FALSE_PREMISE):  # false premises name no target
+        if split in (Split.TRAIN_ID, Split.TEST_FALSE_PREMISE):  # no object fits a false premise
             continue
         named = [(row.scene, row.target_id) for row in here if row.split is split]
         if split.is_unseen_scene and not named:

@@ -252,8 +252,8 @@ class LanguageRow(Model):
     largest_of_category: Share
     """The object of the named category in view with the largest mask at the start is the target."""
     chance: float | None
-    """Expected share of episodes in which a random choice among the objects in view at the start that have the named
-    category is the target."""
+    """Expected share of episodes in which a random choice among the objects of the named category in view at the start
+    is the target."""
     others_in_view: float | None
     """Mean number of other objects of the named category in view at the start."""
     several_in_scene: Share

@@ -168,7 +168,10 @@ def _compare_with_plan(rows: Rows) -> None:
 
 
 def _compare_with_shared_instances(rows: Rows) -> None:
-    """Adds remarks on categories that training and evaluation share, and on instances shared contrary to the plan."""
+    """Adds remarks about instances that training and evaluation share.
+
+    Categories with too few instances to separate training from evaluation are not damage; other shared instances are.
+    """
     shared = rows.meta.shared_instances
     if shared is None:
         return

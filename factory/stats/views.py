@@ -56,7 +56,7 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
 
 
 def read_fits(root: Place) -> dict[str, int]:
-    """Returns how many objects the instruction of each relabelled episode fits, by id; empty without relabelling."""
+    """Returns episode id -> number of objects that the new instruction fits; empty if the dataset is not relabelled."""
     if not (root / INSTRUCTIONS_FILE).is_file():
         return {}
     rows = read_table(root / INSTRUCTIONS_FILE, ("episode_id", "number", "fits")).to_pylist()

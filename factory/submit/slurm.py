@@ -1,6 +1,6 @@
 """Slurm jobs of a run: their scripts, as text, and the commands of Slurm that submit them.
 
-The scripts call the command line only, so a task needs no Python of the submitting process.
+The scripts only call the command line; they contain no Python code.
 """
 
 from __future__ import annotations

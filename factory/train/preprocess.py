@@ -17,7 +17,7 @@ FAR_M = 10.0
 _MM_PER_M = 1000.0
 _BRIGHTNESS, _CONTRAST, _TINT = 0.25, 0.2, 0.08
 _CLOSER = 0.75
-"""Smallest factor of the distances in a zoomed frame: a view from 1 m looks like a view from 0.75 m."""
+"""Smallest factor by which a zoom scales distances: a view from 1 m then looks like a view from 0.75 m."""
 _ENLARGED = 0.6
 """Share of the stop frames that are zoomed."""
 

@@ -1,4 +1,7 @@
-"""Schedules of a training: learning rate with linear warm-up and cosine decay, and averaging decay. Pure functions."""
+"""Schedules of a training: learning rate with linear warm-up and cosine decay; decay of the moving average.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 

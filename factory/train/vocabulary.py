@@ -1,7 +1,8 @@
 """Vocabulary of the instructions: encodes words as token indices. Pure functions; checkpoints contain their vocabulary.
 
 The vocabulary contains the words of all templates, including paraphrase templates, the categories and the colours. The
-embedding of a word without a training sentence keeps its initial value, so the list leaks no test information.
+embedding of a word that occurs in no training sentence keeps its initial value, so the words of the test splits give
+the policy no information.
 """
 
 from __future__ import annotations

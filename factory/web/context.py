@@ -40,7 +40,7 @@ class FarmView(NamedTuple):
 
 @dataclass(frozen=True)
 class WebContext:
-    """Parts of one application."""
+    """State that all requests of one application share."""
 
     workspace: Workspace
     """The dataset and its run."""

@@ -52,7 +52,7 @@ class FrameKey(NamedTuple):
 
 
 def first_frames(scenes: Sequence[str], episodes: Sequence[str]) -> list[FrameKey]:
-    """Returns frame 0 of the first episode of each scene, for at most the `KEPT_SCENES` scenes that stay prepared.
+    """Returns frame 0 of the first episode of each scene, for at most `KEPT_SCENES` scenes: no more stay prepared.
 
     Args:
         scenes: scene of each episode.
@@ -155,7 +155,7 @@ class FrameStore:
         for key in keys:
             with contextlib.suppress(FactoryError, KeyError, IndexError, TooBusy):
                 if not _is_stored(self.episode(key.episode_id)):
-                    self.encoded(key).exception()  # waits, so one encoding thread stays free for requests
+                    self.encoded(key).exception()  # waits for the image, so another encoding thread stays free
 
     def _make(self, episode: Episode, made: dict[FrameKey, Future[bytes]], turn: threading.Lock) -> None:
         found: dict[FrameKey, bytes | Exception]

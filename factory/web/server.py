@@ -13,7 +13,7 @@ from typing import Any
 
 import h11
 import uvicorn
-from anyio import open_file  # noqa: F401 - anyio imports it on first use, which is the first request of a file
+from anyio import open_file  # noqa: F401 - anyio imports it on first use, which is the first request for a file
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 

@@ -177,7 +177,7 @@ class EpisodeTable:
             numbers = ranks[held.indices.to_numpy(zero_copy_only=False)]
         else:
             numbers = held.to_numpy(zero_copy_only=False)
-        if np.all(numbers[1:] >= numbers[:-1]):  # already sorted, as the episodes of a table are
+        if np.all(numbers[1:] >= numbers[:-1]):  # already sorted, as the column `index` is
             return np.arange(len(numbers), dtype=np.int32)
         return np.argsort(numbers, kind="stable").astype(np.int32)
 

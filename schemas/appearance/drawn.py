@@ -32,7 +32,7 @@ class LightMix(Model):
     sky: LampLight
     """Light of the sky, and indirect light."""
     adaptation: Annotated[Fraction, Field(alias="adaption")]
-    """Share that automatic exposure compensates of a change of the mean light in stops; serialized as `adaption`."""
+    """Share of a change of the mean light, in stops, that automatic exposure compensates; serialized as `adaption`."""
 
 
 class SurfaceChange(Model):

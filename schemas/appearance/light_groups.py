@@ -59,8 +59,8 @@ class LightGroups:
     info: LightGroupsInfo
     """Metadata of the groups."""
     shares: NDArray[np.uint8]
-    """(K + 1, H, W) share of each texel's light that comes from the sky and indirectly, then from each of K lamp
-    groups; the shares of a texel add up to 255."""
+    """(K + 1, H, W) composition of the light of each texel: first the share of the sky and of indirect light, then that
+    of each of the K lamp groups. The shares of a texel add up to 255."""
 
 
 def encode_light_groups(light: LightGroups) -> bytes:

@@ -58,7 +58,7 @@ class LightRanges(Model):
     sky_temperature_k: Temperatures = (5000.0, 9000.0)
     """Colour temperature of the sky, kelvin; 6500 K keeps the colour of the compiled scene."""
     adaptation: Annotated[Fraction, Field(alias="adaption")] = 0.7
-    """Share that automatic exposure compensates of a change of the mean light in stops; serialized as `adaption`."""
+    """Share of a change of the mean light, in stops, that automatic exposure compensates; serialized as `adaption`."""
 
 
 class MaterialRanges(Model):

@@ -1,7 +1,7 @@
 """Shards of a run: contiguous parts of its episode numbers, and the file in which a shard records its state.
 
-A shard has a separate dataset directory and ledger; `factory gather` joins the shards of a run. The shards of packed
-episodes (`schemas.storage.shards`) are files of one dataset.
+A shard has a separate dataset directory and ledger; `factory gather` joins the shards of a run. They are not the
+shards of `schemas.storage.shards`, which are files with packed episodes in one dataset.
 """
 
 from __future__ import annotations

@@ -80,7 +80,9 @@ def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uin
 
 
 def _unfilter_sub(rows: NDArray[np.uint8], depth: int) -> NDArray[np.uint8]:
-    """Returns the bytes of rows with filter Sub: the sum of a byte and those of all pixels before it, modulo 256.
+    """Returns the unfiltered bytes of rows with filter Sub.
+
+    A byte is the sum, modulo 256, of the filtered bytes of its channel from the first pixel of the row to its own.
 
     Adds rows to copies of themselves that are shifted by 1, 2, 4, ... pixels. These additions are vectorised, and a
     band of rows stays in the cache, so they take half the time of `np.cumsum`.

@@ -14,7 +14,7 @@ _ROWS_AT_A_TIME = 10_000
 
 
 def table_digest(table: pa.Table) -> str:
-    """Returns the digest of the episodes of a table, `schemas.encoding.digest.dataset_digest`."""
+    """Returns the `schemas.encoding.digest.dataset_digest` of the episodes of a table."""
     ordered = table.select(DIGESTED).sort_by([(name, "ascending") for name in DIGESTED])
     return dataset_digest(_pairs(ordered), is_sorted=True)
 

@@ -39,9 +39,9 @@ def see_objects(
     Args:
         ids: (S, S) instance ids.
         depth: (S, S) metres along the optical axis, 0 where the ray hits nothing.
-        objects: Ids of the objects to find.
-        camera: Camera of the image.
-        min_pixels: Smallest mask of an object in view, pixels.
+        objects: ids of the objects to find.
+        camera: camera of the image.
+        min_pixels: smallest mask of an object in view, pixels.
     """
     found = sorted(ids_in_view(ids, min_pixels).intersection(objects))
     # tangents of the angles from the optical axis to the centres of the pixels of a row or column

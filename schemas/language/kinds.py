@@ -129,7 +129,7 @@ class Kinds(Model):
         return named[0] if named is not None and self.of(named[0]).of == category else category
 
     def seen_in(self, segments: Iterable[str]) -> tuple[tuple[str, ...], int] | None:
-        """Returns the kinds that a viewer may see in a prim, and the number of the segment that names them."""
+        """Returns the kinds for which a viewer may mistake a prim, and the number of the segment that names them."""
         for number, segment in reversed(list(enumerate(segments))):
             words = frozenset(word.lower() for word in _WORD.findall(segment))
             found = dict.fromkeys(kind for wanted, kind in self._seen if wanted <= words)

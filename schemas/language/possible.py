@@ -29,7 +29,7 @@ def explain_impossible(scene: SceneLanguage, spec: LanguageSpec, probes: Sequenc
     every = spec.model_copy(update={"features": dict.fromkeys(Family, 1.0), "same_category": 0, "in_view": 0})
     possible = sorted(set(_features(scene, Composer(every.model_copy(update={"balanced": False})), probes)))
     rivals = max(scene.distractors(number) for number, _ in probes)
-    what = ", ".join(possible) or f"nothing with fit = {spec.fit!r}"
+    what = ", ".join(possible) or f"none with fit = {spec.fit!r}"
     return (
         f"no instruction with these features fits a target; features possible in this scene: {what}; a target has at "
         f"most {rivals} other objects of its category"

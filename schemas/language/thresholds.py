@@ -26,7 +26,7 @@ DIRECTION_RAD = Band(math.radians(35), math.radians(75))
 """Angle from the exact direction for `left_of` and `right_of`. Goodness falls linearly with
 this angle (Regier & Carlson 2001, attention vector sum); SceneVerse (Jia et al. 2024) has sectors of 45 degrees."""
 DIRECTION_GAP_M = Band(2.0, 4.0)
-"""Gap between the footprints for left, right, in front and behind, metres; areas of Sr3D (Achlioptas et al. 2020) have
+"""Gap between the footprints for left, right, in front and behind, metres; Sr3D (Achlioptas et al. 2020) has areas of
 1 to 4 m."""
 FACING_RAD = Band(math.radians(25), math.radians(75))
 """Angle from the exact direction for `in_front_of` and `behind`, which surely hold only if one object is wholly nearer

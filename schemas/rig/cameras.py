@@ -67,7 +67,7 @@ class _Camera(MountedSensor):
         return False
 
     def lens(self) -> Self:
-        """Returns a copy whose name, rate, mount, outputs and noise are fixed, so equal lenses are equal objects."""
+        """Returns a copy with constant name, rate, mount, outputs and noise, so equal lenses give equal copies."""
         plain = {"name": "lens", "rate_hz": None, "mount": Mount(), "outputs": (CameraOutput.RGB,), "noise": None}
         return self.model_copy(update=plain)
 

@@ -12,9 +12,9 @@ from schemas.encoding.arrays import ArraySpec
 from schemas.errors import InvalidBundle
 
 PLACES = ArraySpec("places", (None, 3), np.float32, "m", -1e4, 1e4)
-"""(U, 3) different vertex positions in the order of their first use, metres."""
+"""(U, 3) distinct vertex positions in the order of their first use, metres."""
 PLACE_STEPS = ArraySpec("place_steps", (None,), np.uint32, "1")
-"""(V,) for each vertex, the number of different places before it minus the index of its place; 0 for a new place."""
+"""(V,) for each vertex, the number of distinct places before it minus the index of its place; 0 for a new place."""
 LIGHT_STEPS = ArraySpec("light_steps", (3, None, None), np.uint8, "1")
 """(3, H, W) green, red - green and blue - green of the light map; each as the difference to the texel on the left."""
 

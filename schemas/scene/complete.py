@@ -1,6 +1,7 @@
 """Complete packages: a package of format 4 with the files of its textures as additional members.
 
-A worker announces one file, and a rendering process receives one. Opens no path.
+A worker announces a built layout as such a file, and a rendering process receives a scene as such a file. Opens no
+path.
 """
 
 from __future__ import annotations

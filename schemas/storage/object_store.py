@@ -55,7 +55,7 @@ class Listed(NamedTuple):
 
 @functools.cache
 def objects_at(url: str) -> Objects:
-    """Returns the client for a URL; calls with one URL return one client per process."""
+    """Returns the client for a URL; in one process, all calls with the same URL return the same client."""
     return Objects(url)
 
 

@@ -1,4 +1,4 @@
-"""Points at given distances from targets, on straight lines to their centres: of one target, or of many at once.
+"""Finds points at given distances from targets on straight lines to their centres, for one target or many at once.
 
 A target is a convex polygon with a centre inside it, or the centre alone. Pure functions. Arguments of many targets
 have shapes that broadcast with the points; the results are bit-identical to those of separate calls for each target.
@@ -79,7 +79,7 @@ def _bracket(away: Floats, limit: Floats, centre: Floats, vertices: Floats) -> t
 
 
 def ring(directions: Floats, distance: Floats, centre: Floats, extent: Floats, vertices: Floats | None) -> Floats:
-    """Returns the points (..., N, 2) at distances from targets, on rays from their centres.
+    """Returns the points (..., N, 2) at given distances from targets, on rays from their centres.
 
     Args:
         directions: (N, 2) unit vectors.

@@ -16,8 +16,8 @@ from schemas.support.suggest import did_you_mean
 
 _MOST_BYTES = 4 << 20
 _DEEP_KEY = re.compile(r"^[ \t]*\[{0,2}(?:[ \t]*[\w-]+[ \t]*\.){1000}", re.ASCII | re.MULTILINE)
-"""Matches a key with more than 1000 parts; no model has so many. The time in which `tomllib` reads a key grows with the
-square of the number of its parts."""
+"""Matches a key with more than 1000 parts, which no valid file has. The time in which `tomllib` reads a key grows with
+the square of the number of its parts."""
 
 
 def read_toml(path: Path, noun: str, refusal: type[Findings]) -> dict[str, Any]:

@@ -38,7 +38,7 @@ RATE_HZ = 3.0
 PLAN = Path(__file__).parents[2] / "docs/training/near_office.toml"
 READER = Path(__file__).parents[1] / "readers/lerobot_rig_reader.py"
 Found = Counter[tuple[str, str]]
-"""Number of measurements by sensor and array, with the name of the array in the format."""
+"""Number of measurements of each pair of sensor and array; the array has its name in the export format."""
 
 
 def read_paper(out: Path) -> Iterable[tuple[str, str]]:

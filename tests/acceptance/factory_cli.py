@@ -50,7 +50,7 @@ brakes gently, because a robot that stops at once rolls back: in such a long con
 than validation accepts."""
 
 IMPORTED = (
-    *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # bench sets variables
+    *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # bench changes os.environ
     *(found.name for found in pkgutil.walk_packages(commands.__path__, f"{commands.__name__}.")),
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
     *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas

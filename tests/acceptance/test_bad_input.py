@@ -41,7 +41,7 @@ def test_the_error_of_an_unknown_scene_lists_the_scenes_of_the_plan(factory, tmp
     assert "office" in err
 
 
-def test_an_unknown_scene_filter_of_jobs_is_an_error(factory, reference):
+def test_jobs_list_refuses_an_unknown_scene_and_suggests_a_known_one(factory, reference):
     err = factory("jobs", "list", reference, "--scene", "hospitl", expect=2).stderr
     assert "did you mean 'hospital'" in err
 
@@ -76,7 +76,7 @@ def test_files_that_do_not_belong_to_a_dataset_are_reported_before_a_dataset_is_
     assert "files that do not belong to a dataset; `factory verify` will report them: thesis.tex" in err
 
 
-def test_a_folder_without_shards_is_named(factory, plan, tmp_path):
+def test_gather_refuses_a_folder_without_shards(factory, plan, tmp_path):
     for folder in (tmp_path, tmp_path / "nowhere"):
         err = factory("gather", plan, folder, "--out", tmp_path / "joined", expect=2).stderr
         assert f"{folder} is not a shard and contains none" in err

@@ -132,7 +132,7 @@ def test_held_out_categories_are_only_in_their_split(factory, reference):
     assert [event["event"] for event in history["events"]][-1] == "archived"
 
 
-def test_the_spec_of_a_job_is_flat_in_json(factory, reference):
+def test_the_json_of_a_job_has_the_fields_of_its_spec_at_the_top_level(factory, reference):
     names = {"scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction"}
     listed = factory.json("jobs", "list", reference)["jobs"][0]
     (draw,) = factory.json("jobs", "show", reference, "ep_000001")["draws"]

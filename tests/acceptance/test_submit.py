@@ -51,7 +51,7 @@ def test_a_refused_run_leaves_nothing_so_that_the_command_can_be_repeated(
     assert (f"--dependency={'afterany' if mode == 'shards' else 'after'}:") in command_again
 
 
-def test_commands_accept_the_folder_of_a_submitted_run_or_name_its_dataset(
+def test_commands_accept_the_folder_of_a_submitted_run_or_suggest_what_to_give(
     site: FactoryCli, plan: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"

@@ -12,7 +12,7 @@ from typing import Any
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """The last two flags make Chromium render WebGL on the CPU."""
 _NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-"""Browsers, in order of preference. The first can open no window and needs a third less CPU time than the others."""
+"""Browsers, in order of preference. The first runs only headless and needs a third less CPU time than the others."""
 
 
 def _find() -> str | None:
@@ -22,7 +22,7 @@ def _find() -> str | None:
 def why_no_chromium() -> str:
     """Returns why no page can be opened; empty if Chromium is available."""
     if importlib.util.find_spec("axe_playwright_python") is None:
-        return "axe-playwright-python, which the extra dev brings, is not installed"
+        return "axe-playwright-python is not installed: install the extra dev"
     return "" if _find() else f"no {', '.join(_NAMES)} on the PATH: apt-get install chromium-headless-shell"
 
 

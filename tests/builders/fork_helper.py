@@ -66,8 +66,8 @@ _AT_START = re.compile(r"LD_|PYTHON[A-Z]")
 `make` uses, and `PYTHON_VERSION`, which container images set, do not match. The variables with `PYTHON_` that the
 interpreter reads since 3.13 do not match either; they change nothing in a fork."""
 _CHANGES_NO_PROGRAM = frozenset({SAFE_PATH, "PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"})
-"""Variables that match `_AT_START` but do not prevent a fork. `make`, CI and images set some of them; the environment
-of the validator contains none of them."""
+"""Variables that match `_AT_START` but may differ between the owner and a fork. `make`, CI and images set some of them
+for the owner, and the environment of the validator contains none of them."""
 NEW_INTERPRETER = "PYTHONNEWINTERPRETER"
 """Variable that a test sets to get new interpreters instead of forks."""
 _VALIDATION_BYTES = 512 << 20

@@ -80,7 +80,7 @@ class InvalidAnswers(_Quiet):
 
 
 class Tokens(_Quiet):
-    """Turns on the spot with chunks of tokens."""
+    """Turns on the spot; its actions are chunks of tokens."""
 
     actions = "tokens"
 

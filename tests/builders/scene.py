@@ -204,7 +204,7 @@ def _target(index: int, box: Box, grid: _Grid, spawns: NDArray[np.float32]) -> t
 
 
 def _are_straight_free(grid: _Grid, spawns: NDArray[np.float32], centre: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Returns whether the straight path from each (N, 2) start to the success radius of a target is reachable."""
+    """Returns whether each of the (N, 2) starts has a straight path on reachable floor to the success radius."""
     gaps = centre - spawns
     distances = np.linalg.norm(gaps, axis=1)[:, None]
     steps = np.arange(0.0, distances.max(initial=0.0), _CELL_M)

@@ -155,7 +155,7 @@ def main() -> int:
 def _parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--minutes", type=float, help="Time after which no round starts, minutes (default 30; with --faults 240)."
+        "--minutes", type=float, help="Time after which no round starts, minutes (default 30, or 240 with --faults)."
     )
     parser.add_argument(
         "--faults", type=int, help="Required number of faults with an effect; exits with 1 when the time ends first."

@@ -70,7 +70,7 @@ class Hosts(Closing):
                 [*where, "tc", "qdisc", "replace", "dev", device, "root", *shape], capture_output=True, text=True
             )
             if done.returncode != 0:
-                return f"tc cannot shape here: {done.stderr.strip()}"
+                return f"tc cannot limit the rate of a link: {done.stderr.strip()}"
         return ""
 
     def close(self) -> None:

@@ -43,7 +43,7 @@ def violations_of(cluster: ChaosCluster) -> Iterator[str]:
     listed = list_episodes(cluster.out)
     files = listed.episodes
     if set(files) != wanted:
-        yield f"files {sorted(files)[:5]}... of {len(files)}, wanted {len(wanted)}"
+        yield f"files of {len(files)} episodes ({sorted(files)[:5]}...), expected 1 to {len(wanted)}"
     unpacked = [index for index, path in files.items() if not isinstance(path, PackedPath)]
     if cluster.commands.record is Recording.STATES and unpacked:
         yield f"episodes {unpacked[:5]} are not packed"

@@ -14,7 +14,7 @@ from workers.render.choose import open_renderer
 KINDS = [
     pytest.param(("gl", False), id="gl", marks=pytest.mark.gl),
     pytest.param(("tiny", False), id="tiny"),
-    pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
+    pytest.param(("gl", True), id="gl in a process", marks=pytest.mark.gl),
 ]
 """Renderer, and whether it runs in a separate process."""
 

@@ -44,7 +44,7 @@ class Kind:
         return self.store or self.home
 
     def lay(self, name: str, data: bytes) -> None:
-        """Writes a file that the archive has not written."""
+        """Writes a file directly, not through the archive."""
         if self.store is not None:
             self.store.objects.put(name, data)
             return

@@ -69,7 +69,9 @@ def test_an_export_describes_itself_and_leaves_no_temporary_files(reference: dic
 
 
 @every_format
-def test_equal_exports_have_equal_bytes(dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str) -> None:
+def test_two_exports_of_a_dataset_have_equal_bytes(
+    dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
+) -> None:
     again = contents(_exported(dataset, tmp_path / "again", name))
     assert again == contents(reference[name])
 
@@ -252,7 +254,7 @@ def test_a_dry_run_reports_sizes_and_writes_nothing(
     estimate = estimate_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
     size = sum(map(len, contents(reference[name]).values()))
-    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # the estimate counts shared files for each episode
+    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # the estimate counts shared files once for each episode
     assert estimate.episodes == EPISODES
     assert estimate.frames == read_manifest(reference[name]).frames  # type: ignore[union-attr]
     assert estimate.fits

@@ -237,7 +237,7 @@ def test_baked_light_multiplies_the_colour(renderer: Renderer) -> None:
 
 
 @pytest.mark.gl
-def test_the_light_map_starts_with_its_first_row_and_is_interpolated_between_texels() -> None:
+def test_the_first_row_of_the_light_map_is_at_v_0_and_texels_are_interpolated() -> None:
     scene = build_scene([wall(3.0)])
     light = np.array([[[0] * 3, [100] * 3], [[200] * 3, [200] * 3]], np.uint8)
     seen = []
@@ -380,7 +380,7 @@ def test_a_depth_and_id_frame_equals_the_frame_without_colour(renderer: Renderer
 
 
 @pytest.mark.gl
-def test_an_instance_rendered_alone_has_the_pixels_of_the_frame() -> None:
+def test_an_instance_rendered_alone_has_the_same_pixels_as_in_the_whole_frame() -> None:
     rng = np.random.default_rng(3)
     with open_renderer("gl") as renderer:
         assert isinstance(renderer, PartialRenderer)
@@ -400,7 +400,7 @@ def test_an_instance_rendered_alone_has_the_pixels_of_the_frame() -> None:
 
 
 @pytest.mark.gl
-def test_the_count_of_near_pixels_equals_that_of_the_frame() -> None:
+def test_the_count_of_near_pixels_equals_the_count_in_the_whole_frame() -> None:
     rng = np.random.default_rng(4)
     windows = (Window(352, 160, 608, 480), Window(0, 0, 640, 640), Window(300, 600, 340, 640))
     counts = []
@@ -419,7 +419,7 @@ def test_the_count_of_near_pixels_equals_that_of_the_frame() -> None:
 
 
 @pytest.mark.gl
-def test_measurements_from_parts_equal_those_from_the_frame() -> None:
+def test_measurements_in_partial_frames_equal_those_in_the_whole_frame() -> None:
     job = job_for(task=TaskConfig())
     with open_renderer("gl") as renderer:
         renderer.load(furnished_room(), CAMERA)

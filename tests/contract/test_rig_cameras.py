@@ -173,7 +173,7 @@ def test_opencv_rectifies_our_fisheye_image_to_a_pinhole_image(gl: Renderer):
     )
     expected = gl.render_camera(straight, POSE).rgb
     inner = np.s_[20:-20, 20:-20]
-    soft = [cv2.GaussianBlur(_grey(image), (0, 0), 2) for image in (undistorted, expected)]  # both blurred
+    soft = [cv2.GaussianBlur(_grey(image), (0, 0), 2) for image in (undistorted, expected)]
     shift, _ = cv2.phaseCorrelate(*(image[inner] for image in soft))
     assert shift == pytest.approx((0, 0), abs=0.1)
     assert np.abs(soft[0] - soft[1])[inner].mean() < 3

@@ -25,7 +25,7 @@ def main() -> int:
     for line in filter(None, lines):
         _say(line)
     if found:
-        _say(f"{found} known vulnerabilities: raise the package in pyproject.toml, and lock again")
+        _say(f"{found} known vulnerabilities: require fixed versions in pyproject.toml, and lock again")
         return 1
     if unknown == len(lines):
         _say("NOT AUDITED: neither PyPI's nor OSV's advisories could be reached; run `make audit` with access to them")

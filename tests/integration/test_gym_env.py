@@ -248,7 +248,7 @@ def test_make_vec_works_with_processes_that_are_not_forked(
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("instruction", ["text", "tokens", "none"])
 def test_make_vec_works_with_forked_processes(drives: Dataset, specs: SpecSet, instruction: str) -> None:
-    """By default, Gymnasium forks a process that has already created an environment in order to read its spaces."""
+    """By default, Gymnasium first creates an environment to read its spaces, and then forks the process."""
     in_fresh_process(drive_two_episodes, drives, specs, None, instruction)
 
 
@@ -264,7 +264,9 @@ def compare_texts(drives: Dataset, specs: SpecSet) -> None:
 
 
 @pytest.mark.timeout(240)
-def test_texts_in_shared_memory_that_is_not_copied_are_current(drives: Dataset, specs: SpecSet) -> None:
+def test_instructions_are_current_when_observations_are_not_copied_from_shared_memory(
+    drives: Dataset, specs: SpecSet
+) -> None:
     in_fresh_process(compare_texts, drives, specs)
 
 

@@ -124,7 +124,7 @@ def test_the_build_of_a_killed_builder_is_leased_again_and_its_late_package_is_i
         assert len(list((tmp_path / "data/scenes").glob("office_00005-*.scene.zip"))) == 1
 
 
-def test_a_package_that_cannot_fulfil_the_plan_is_followed_by_the_next_seed(tmp_path: Path) -> None:
+def test_a_layout_that_cannot_fulfil_the_plan_is_built_again_with_the_next_seed(tmp_path: Path) -> None:
     root = tmp_path / "data"
     with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
         deliver(worker, build_claim(worker), package(FIRST, "plant"))
@@ -174,7 +174,7 @@ def test_textures_that_the_coordinator_has_are_not_sent_again(tmp_path: Path) ->
         assert len(list((root / "scenes/textures").iterdir())) == 2
 
 
-def test_a_layout_without_a_texture_that_the_coordinator_lacks_counts_against_the_host(tmp_path: Path) -> None:
+def test_a_layout_sent_without_a_needed_texture_counts_against_the_host(tmp_path: Path) -> None:
     with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
         claim = build_claim(worker)
         assert claim.build is not None
@@ -186,7 +186,7 @@ def test_a_layout_without_a_texture_that_the_coordinator_lacks_counts_against_th
         assert not list((tmp_path / "data/.staging").iterdir())
 
 
-def test_the_rest_of_an_interrupted_layout_build_is_removed_at_the_next_start(tmp_path: Path) -> None:
+def test_leftovers_of_an_interrupted_layout_build_are_removed_at_the_next_start(tmp_path: Path) -> None:
     root = tmp_path / "data"
     with coordinator(root) as core, WireWorker(core.endpoints, core.run) as worker:
         build_claim(worker)

@@ -41,7 +41,10 @@ EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"
 
 @dataclass(frozen=True)
 class Step:
-    """Moment of the kill: a stage of the first request with this method and key, from the put of the episode on."""
+    """Moment of the kill: a stage of the first request with this method and key.
+
+    Requests before the put of the first episode are ignored.
+    """
 
     moment: Moment
     method: str

@@ -225,7 +225,7 @@ def test_a_message_with_an_unknown_field_is_refused() -> None:
         (("--to", "mcap", "--ros2", "--start-time", "0"), "--start-time: Input should be greater than or equal to 1"),
     ],
 )
-def test_options_that_do_not_fit_are_refused_before_anything_is_written(
+def test_invalid_ros2_options_are_refused_before_anything_is_written(
     dataset: Path, tmp_path: Path, words: tuple[str, ...], said: str
 ) -> None:
     arguments = [str(dataset), "-o", str(tmp_path / "out"), *words]

@@ -141,7 +141,7 @@ def test_rays_through_pixels_hit_the_surfaces_that_the_renderer_draws_at_these_p
 
 
 @pytest.mark.gl
-def test_opencvs_stereo_matcher_gives_the_depth_of_the_pair_of_nova_carter_within_its_expected_error(
+def test_opencvs_stereo_matcher_measures_depth_with_nova_carters_cameras_within_its_expected_error(
     scene: CompiledScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An error of s pixels in the disparity changes the depth d by d^2 s / (f b) (Khoshelham and Elberink 2012)."""

@@ -76,7 +76,7 @@ def test_a_host_that_falsely_announces_a_validation_is_barred_and_its_invalid_ep
             assert false_peer.deliver(lease, make(job), is_validated=True)
             until(lambda number=number: archived(coordinator) == number)  # type: ignore[misc]
         accepted = unchecked(tmp_path)
-        assert len(accepted) == 1  # except the first bundle of the host, which is always validated completely
+        assert len(accepted) == 1  # the first bundle of a host is always validated completely
     with (
         started(tmp_path, 0.0) as coordinator,
         WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,

@@ -182,7 +182,7 @@ def test_a_client_that_does_not_read_its_response_is_disconnected(server):
         assert ask(server, "/healthz") == (200, "ok\n")
 
 
-def test_clients_that_send_one_byte_per_second_do_not_block_other_clients(server):
+def test_clients_that_send_one_byte_at_a_time_do_not_block_other_clients(server):
     clients = [connected(server) for _ in range(300)]
     for _ in range(5):
         for client in clients:

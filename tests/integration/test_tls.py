@@ -123,14 +123,14 @@ def test_a_client_without_a_certificate_of_the_authority_cannot_connect(hub, pki
     assert hub.progress().workers == ()
 
 
-def test_an_expired_certificate_does_not_connect(hub, pki, tmp_path):
+def test_a_client_with_an_expired_certificate_cannot_connect(hub, pki, tmp_path):
     folder = tmp_path / "old"
     shutil.copytree(pki, folder)
     admit(folder, "node", Role.WORKER, (), 1, datetime(2026, 1, 1, tzinfo=UTC), renew=True)
     assert not can_connect(hub.endpoints, files_of(folder, "node"))
 
 
-def test_a_certificate_whose_host_is_not_admitted_has_no_effect(hub, pki, tmp_path):
+def test_a_signed_certificate_of_a_host_outside_the_host_list_gives_no_access(hub, pki, tmp_path):
     folder = tmp_path / "beside"
     shutil.copytree(pki, folder)
     admit(

@@ -159,7 +159,7 @@ def test_the_seed_determines_the_weights(root: Path, tmp_path: Path) -> None:
 
 @needs_torch
 @pytest.mark.parametrize("head", ["continuous", "tokens"])
-def test_the_policy_returns_actions_for_the_hold_time(root: Path, tmp_path: Path, head: str) -> None:
+def test_the_policy_returns_the_same_action_for_each_held_step(root: Path, tmp_path: Path, head: str) -> None:
     train(root, tmp_path, options(head=head, epochs=1))
     policy = make_policy(f"bc:{tmp_path}", PolicyLimits())
     policy.reset("Go to the chair.", INFO)

@@ -136,7 +136,7 @@ def check_scene(path: Path, episodes: list[Any]) -> str:
             assert low[0] < point[0] < high[0], point
             assert low[2] < point[2] < high[2], point
         assert abs(episode.start_position[1] - low[1]) < FLOOR_M, f"start at {episode.start_position}, floor {low[1]}"
-    return f"{path.name}: {triangles} triangles, {len(textured)} textures, {len(episodes)} starts on it"
+    return f"{path.name}: {triangles} triangles, {len(textured)} textures, {len(episodes)} starts on its floor"
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ def main() -> None:
     paper, reader = Paper(Path(sys.argv[1])), named("lerobot")
     for export in map(Path, sys.argv[2:]):
         if json.loads((export / "meta/info.json").read_text())["codebase_version"] == "v2.1":
-            print_row(export, f"{reader}, pyav", f"made v3.0 by LeRobot's converter: {check_conversion(paper, export)}")
+            print_row(export, f"{reader}, pyav", f"converted to v3.0 by LeRobot: {check_conversion(paper, export)}")
             continue
         for backend in backends():
             print_row(export, f"{reader}, {backend}", check_export(paper, export, backend))

@@ -33,7 +33,7 @@ def main() -> None:
         print_row(export, f"{reader}, pyav", check_lerobot(paper, export))
         print_row(export, reader, check_parts(export))
         print_row(export, reader, check_statistics(export))
-        print_row(export, "GR00T's way of reading", check_gr00t(paper, export))
+        print_row(export, "operations of GR00T's loaders", check_gr00t(paper, export))
 
 
 def check_lerobot(paper: Paper, export: Path) -> str:
@@ -53,7 +53,7 @@ def check_parts(export: Path) -> str:
     part = LeRobotDataset("test/nav", root=export, episodes=[0], video_backend="pyav")
     assert len(part) == first["length"]
     assert part[first["length"] - 1]["task"] == first["tasks"][0]
-    return f"{result}, one episode alone"
+    return f"{result}, one episode read alone"
 
 
 def check_statistics(export: Path) -> str:
@@ -64,7 +64,7 @@ def check_statistics(export: Path) -> str:
     for key, found in added.items():
         for name in ("min", "max", "mean", "std"):
             np.testing.assert_allclose(found[name], values[key][name], rtol=1e-5, atol=1e-6, err_msg=f"{key} {name}")
-    return f"statistics of {len(added)} features added up"
+    return f"statistics of {len(added)} features equal to LeRobot's"
 
 
 def check_gr00t(paper: Paper, export: Path) -> str:

@@ -62,7 +62,7 @@ def check_view(paper: Paper, name: str, path: Path) -> str:
     assert entities.issuperset(STILL), f"{set(STILL) - entities} are not in the recording"
     (words,) = rows["/instruction", "TextDocument:text"][None]
     assert paper.meta(name)["job"]["instruction"] in words
-    return f"{name}: {len(poses)} poses, {len(shown)} frames of depth and ids equal; map, target, way, instruction"
+    return f"{name}: {len(poses)} poses, {len(shown)} frames of depth and ids equal; map, target, path, instruction"
 
 
 def rows_of(path: Path) -> dict[tuple[str, str], dict[int | None, Any]]:

@@ -50,7 +50,9 @@ def main() -> None:
             for path, expected in videos:
                 check_video(path, expected, see(path))
             frames = sum(expected.frames for _, expected in videos)
-            print_row(export, reader, f"{frames} frames of {len(videos)} videos in time, episodes begin on key frames")
+            print_row(
+                export, reader, f"{frames} frames of {len(videos)} videos at their times, episodes begin on key frames"
+            )
 
 
 def expected_of(export: Path) -> list[tuple[Path, Expected]]:

@@ -27,9 +27,9 @@ class ClutterShape(NamedTuple):
     """Triangles of an object on the plane z = 0."""
 
     triangles: Floats
-    """(T, 3, 3) corners, counter-clockwise from outside."""
+    """(T, 3, 3) corners, counter-clockwise seen from outside."""
     shades: Floats
-    """(T, 3) factors of the colour of the object."""
+    """(T, 3) factors that multiply the red, green and blue of the object's colour."""
 
 
 @functools.cache

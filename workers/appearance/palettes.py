@@ -71,7 +71,7 @@ FLOORS = MappingProxyType(
 )
 """Materials of floors by name."""
 CEILINGS = ("#ffffff", "#f6f4ee", "#eef0f0", "#e8e6df", "#dcdcd8", "#f3ecdd")
-"""Factors of the colours of ceilings."""
+"""sRGB values that multiply the colours of ceilings."""
 PAINTS = (
     "#141416",
     "#1c1c1f",

@@ -22,7 +22,7 @@ _WHITE, _GAMMA = 3.0, 2.2
 """Parameters of the tone curve of light maps (`factory.scenes.light.tone`): the light that the curve maps to 1, and its
 gamma."""
 _WHITE_BALANCE = 0.5
-"""Share of a change of colour, in stops, that the white balance of the camera compensates."""
+"""Share of a change of colour, measured in stops, that the white balance of the camera compensates."""
 _STEPS = 8192
 _MEAN_STEP = 4096.0
 Rgb = tuple[float, float, float]

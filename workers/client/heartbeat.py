@@ -109,7 +109,7 @@ class Heartbeat:
             self.is_answered = False
             log.warning("coordinator_unreachable", endpoints=host.link.endpoints)
         if host.link.silence_s > _REOPEN_S and not host.phase.stopping.is_set():
-            # a new session helps if the connection is half-open, or if the router accepts no connections
+            # replaces a half-open connection; tries all endpoints, because this router may accept no connections
             host.link.open()
             if host.link.is_run_finished:
                 host.phase.finish()

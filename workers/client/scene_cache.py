@@ -37,7 +37,7 @@ class _Busy(Exception):
 
 
 class _CachedFile(NamedTuple):
-    """File that may be evicted; sorted by last use; ties put a package before a texture."""
+    """File that may be evicted; sorted by last use, and packages before textures with the same time of last use."""
 
     used_ns: int
     is_texture: bool

@@ -122,7 +122,7 @@ class Slot:
             log.info("renderer", renderer=renderer)
 
     def _claim(self) -> ClaimReply | None:
-        """Claims a job; repeats the request with one token until a reply arrives. `None` if the worker closes."""
+        """Claims a job; repeats the request with the same token until a reply arrives. `None` if the worker closes."""
         host, backoff = self._host, Backoff(0.1, 5.0)
         claim = Claim(sid=host.sid, token=secrets.token_hex(16), can_build=bool(host.settings.build_command))
         while not host.phase.closing.is_set():

@@ -59,7 +59,7 @@ class LazyFrame:
         window, renderer = foreground_window(task), self._partial
         if renderer is not None:
             near = renderer.count_within(self._pose, window, task.near_obstacle_depth_m)
-            # assumes that all pixels of the window are valid; with fewer valid pixels, the share of near ones is larger
+            # `True` is certain: if some pixels are invalid, the share of near pixels among the valid ones is larger
             if near == 0 or are_near(near, window.pixels):
                 return near > 0
         return is_obstacle_near(self.depth_and_ids.cut(window).depth, task)

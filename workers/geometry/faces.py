@@ -90,9 +90,9 @@ def plan_faces(camera: Camera) -> FacePlan:
     """Returns the plan of a camera; the plans of the most recently used lenses are kept.
 
     At every pixel, the faces have at least the resolution (pixels per radian) that the image has there along its rows
-    or along its columns, whichever is lower. They have nowhere less than a minimum resolution: the lowest that the
-    image has along its rows or the lowest along its columns, whichever is higher. Near its poles, a panorama has a
-    higher resolution than the faces.
+    or along its columns, whichever is lower. In addition, their resolution is nowhere below a minimum: the lowest
+    resolution of the image along its rows or the lowest along its columns, whichever is higher. Near its poles, a
+    panorama has a higher resolution than the faces.
 
     Raises:
         UsageError: the faces would be larger than the drivers support.
@@ -150,7 +150,7 @@ def _sharpest(rays: Floats) -> float:
 
 
 def _finest(plane: Floats, sides: NDArray[np.int8]) -> float:
-    """Returns a focal length at which all adjacent pixels are at least one face pixel apart along rows or columns."""
+    """Returns a focal length, pixels, at which each pixel is a face pixel or more from its right or lower neighbour."""
     across = np.linalg.norm(np.diff(plane, axis=1), axis=-1)[:-1]
     down = np.linalg.norm(np.diff(plane, axis=0), axis=-1)[:, :-1]
     corner = sides[:-1, :-1]

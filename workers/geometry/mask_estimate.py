@@ -74,7 +74,7 @@ class MaskEstimate:
 
 
 def _cut(triangles: Floats) -> Floats:
-    """Subdivides triangles (N, 3, 3) into four, at most `_CUTS` times, until no side is longer than `_LONGEST_M`."""
+    """Splits long triangles (N, 3, 3) into four, at most `_CUTS` times, until no side is longer than `_LONGEST_M`."""
     for _ in range(_CUTS):
         longest = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1, initial=0.0)
         long = triangles[longest > _LONGEST_M]

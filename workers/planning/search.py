@@ -54,7 +54,7 @@ def plan_path(
         grid: occupancy grid of the scene.
         start: pose of base_link.
         target: target to reach.
-        task: success measure and radius; the path ends inside the region by the arrival margin.
+        task: success measure and radius; the path ends at least the arrival margin inside the region.
         config: margins and limits.
         facing: whether the path ends with the target ahead, and has no turn on the spot inside or near the region,
             because the episode ends when the robot stands still inside the region.

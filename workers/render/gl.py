@@ -136,7 +136,7 @@ class GlRenderer(Closing):
             target = self._target(image.width, image.height)
             target.begin()
             scene.draw(view.drawn, view.matrix)
-            self._context.finish()  # for separate times of rendering and copying; reading would wait anyway
+            self._context.finish()  # separates the times of rendering and copying; reading would wait anyway
             self._timer("render")
             rgb = target.read_colour()
             depth_and_ids = target.read_depth_and_ids(image, rgb)

@@ -148,7 +148,7 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     pixels = np.flatnonzero(columns[:-1] >= columns[1:])
     pixels = pixels[(pixels + 1) % width > 0]
     nearer = columns[pixels + 1]
-    # a surface hides the pixels to its left, until a pixel is to the left of the surface in the second view, too
+    # a pixel hides every pixel to its left, until one has a smaller column in the second view
     while len(pixels):
         found[pixels] = True
         has_left = pixels % width > 0

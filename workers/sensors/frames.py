@@ -34,7 +34,7 @@ def sensor_poses(poses: Floats, mount: Mount) -> tuple[Floats, Floats]:
 def turned(matrices: Floats, vectors: Floats) -> Floats:
     """Returns vectors (..., 3) after rotations (N, 3, 3), which are broadcast to the shape of the vectors.
 
-    The coordinates are stored one after the other, which makes large arrays faster.
+    The result stores all x, then all y, then all z, which is faster for large arrays.
     """
     shape = np.broadcast_shapes(matrices.shape[:-1], vectors.shape)[:-1]
     result = np.empty((3, *shape))

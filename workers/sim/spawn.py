@@ -33,7 +33,7 @@ _BEARINGS = 384
 _DISTANCE_STREAM = 1
 """Key of the random stream of the distances of an episode whose starts are drawn without a check for obstacles."""
 _PREDICTIONS = 32
-"""In the near and mid tiers, largest number of starts at each distance whose view is tested. For an expert that drives
+"""In the near and mid tiers, largest number of starts whose view is tested at each distance. For an expert that drives
 straight, also the largest number of starts whose path is predicted, in all tiers; if none of these paths has the free
 space `_PREDICTION_MARGIN_M`, the start of the path with the most free space is selected."""
 _REJECTIONS = 256
@@ -70,7 +70,7 @@ def draw_poses(
         place: scene with its grid.
         rng: random generator of the attempt; consumed in a fixed order.
         accepts: further condition on a start, evaluated last. The sequence of candidates does not depend on it. The
-            draw ends after it has rejected `_REJECTIONS` candidates.
+            draw ends after the condition has rejected `_REJECTIONS` candidates.
     """
     z = place.scene.info.floor_height_m
     for _ in range(job.spawn.physics_draws):

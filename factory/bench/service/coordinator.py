@@ -61,7 +61,8 @@ def bench_coordinator(
         workers: Number of concurrent requests.
         sessions: Number of simultaneous sessions for the memory measurement.
         bundle_bytes: Size of the bundle that each worker delivers when all finish together, bytes.
-        repeats: Number of repetitions. Filling the ledger, the sessions and the simultaneous deliveries run only once.
+        repeats: Number of repetitions. The ledger is filled once; sessions and simultaneous deliveries are measured
+            once.
         pullers: Number of validating processes that work at the same time.
     """
     machine, start_mib = describe_machine(), resident_mib()

@@ -74,8 +74,8 @@ def command() -> None:
 @count_option(
     "--antialias",
     None,
-    "Samples per pixel and axis of rendered frames; 1 is the fastest. For datasets of states. Default: 640 / SIZE, "
-    "which gives the same images as stored frames.",
+    "Samples per pixel of rendered frames, along each axis; 1 is the fastest. For datasets of states. "
+    "Default: 640 / SIZE, which gives the same images as stored frames.",
     most=10,
 )
 @number_option(

@@ -39,7 +39,9 @@ _PLAIN_FRAMES = 24
 
 _repeats_option = count_option("--repeats", 3, "Number of timed runs; the result is their median.")
 _size_option = count_option("--size", FRAME_SIZE_PX, "Width and height of the frames, pixels.", most=MAX_SIZE_PX)
-_antialias_option = count_option("--antialias", 1, "Samples per pixel and axis; colours are their mean.", most=16)
+_antialias_option = count_option(
+    "--antialias", 1, "Samples per pixel along each axis; colours are their mean.", most=16
+)
 
 
 @click.group("bench", cls=CommandGroup)

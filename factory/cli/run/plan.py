@@ -48,7 +48,8 @@ def nearest(**options: Any) -> None:
     """Find the nearest plan that the scenes support.
 
     PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Scenes that are not in
-    the cache are built or imported. Layouts are not checked: their seeds are chosen so that they fulfil the plan.
+    the cache are built or imported. Layouts are not checked: if a layout cannot fulfil the plan, the run uses the
+    layout of another seed.
     """
     from factory.commands.run.plan import nearest
 

@@ -110,7 +110,10 @@ def _print_joined(hello: Hello) -> None:
 
 
 def _wait(coordinator: Coordinator, stop: threading.Event, stay: bool) -> Progress:
-    """Waits for the end of the run and until the workers have disconnected, or with `stay` until `stop` is set."""
+    """Returns the progress after the run has finished and its workers have disconnected, or when `stop` is set.
+
+    With `stay`, returns only when `stop` is set.
+    """
     finished = coordinator.wait(stop=stop)
     if stay:
         stop.wait()

@@ -61,7 +61,7 @@ def _outputs(site: Site, rigs: tuple[str, ...]) -> list[tuple[str | None, Site]]
     """Returns the location of the dataset of each rig: --out for a single rig, --out/NAME for several.
 
     Raises:
-        UsageError: a rig does not exist, or two rigs have one name.
+        UsageError: a rig does not exist, or two rigs have the same name.
     """
     if len(rigs) < 2:
         return [(rigs[0] if rigs else None, site)]

@@ -61,8 +61,8 @@ def describe_survey(report: SurveyReport) -> Iterator[str]:
         f"free floor to a start point: {report.farthest_floor_m:g} m"
     )
     yield (
-        f"start points without a visible target: {report.blind}; used only by the planner, and by starts without "
-        "screening (spawn.screening)"
+        f"start points without a visible target: {report.blind}; used only by the planner, and by other experts if "
+        "spawn.screening is none or sight"
     )
     yield f"targets visible from no start point: {', '.join(report.unseen) or 'none'}"
     goal = "centroid" if report.success is SuccessMeasure.CENTROID else "footprint"

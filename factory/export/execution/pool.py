@@ -1,4 +1,4 @@
-"""Exports one episode in a process. A task writes into its staging folder only."""
+"""Exports one episode, in a worker process or in the calling process. A task writes into its staging folder only."""
 
 from __future__ import annotations
 

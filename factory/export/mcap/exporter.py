@@ -43,7 +43,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     options = McapOptions
     facts = EpisodeFacts
 
-    def check_rig(self, rig: Rig, options: McapOptions) -> None:  # noqa: ARG002 - frames do not depend on the options
+    def check_rig(self, rig: Rig, options: McapOptions) -> None:  # noqa: ARG002 - no frame name depends on options
         """Checks that no two coordinate frames of sensors have the same name."""
         require_different_frames(rig)
 

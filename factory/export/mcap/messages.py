@@ -1,6 +1,7 @@
-"""Converts an episode to messages of Foxglove: topics, frames and values. Pure functions. Does not encode messages.
+"""Converts an episode to messages of Foxglove: topics, coordinate frames and values. Pure functions.
 
-Frames: `world` (REP 103, z up), `base_link`, `front_optical` (z forward, x right, y down). Times count from frame 0.
+Coordinate frames: `world` (REP 103, z up), `base_link`, `front_optical` (z forward, x right, y down). Times are
+relative to the first recorded frame. Does not encode messages.
 """
 
 from __future__ import annotations
@@ -190,7 +191,7 @@ def _transform(child: str, parent: str, pose: dict[str, dict[str, float]], stamp
 
 
 def stamped(stamp_ns: int, frame: str) -> dict[str, Any]:
-    """Returns the first fields of a message: time and frame."""
+    """Returns the first fields of a message: time and coordinate frame."""
     return {"timestamp": _timestamp(stamp_ns), "frame_id": frame}
 
 

@@ -21,7 +21,7 @@ _RESERVED = ("world", "map", "odom", "base_link")
 
 
 class FrameLink(NamedTuple):
-    """Constant transform between two frames."""
+    """Constant transform between two coordinate frames."""
 
     parent: str
     child: str
@@ -30,7 +30,7 @@ class FrameLink(NamedTuple):
 
 
 def frame_of(sensor: Sensor) -> str:
-    """Returns the frame of the measurements of a sensor. For odometry, it is at the start pose of base_link."""
+    """Returns the coordinate frame of a sensor's measurements; that of odometry is at the start pose of base_link."""
     if isinstance(sensor, WheelOdometry):
         return f"{sensor.name}_start"
     return f"{sensor.name}_optical_frame" if isinstance(sensor, Camera) else f"{sensor.name}_link"
@@ -61,10 +61,10 @@ def odometry_links(rig: Rig, world: str, start: tuple[float, ...]) -> Iterator[F
 
 
 def require_different_frames(rig: Rig) -> None:
-    """Checks that no two frames have the same name.
+    """Checks that no two coordinate frames have the same name.
 
     Raises:
-        UsageError: a sensor has the frame of another sensor or of the robot.
+        UsageError: a frame of a sensor has the name of a frame of another sensor or of the robot.
     """
     seen = set(_RESERVED)
     for sensor in rig.sensors:

@@ -1,7 +1,7 @@
-"""Converts an episode to messages of ROS 2: topics, frames (REP 105, 103) and values.
+"""Converts an episode to messages of ROS 2: topics, coordinate frames (REP 105, 103) and values.
 
-Frames: map -> odom -> base_link -> front_camera_link -> front_camera_optical_frame. `map` is the world frame of the
-scene; `odom` is equal to it, because odometry is exact.
+Coordinate frames: map -> odom -> base_link -> front_camera_link -> front_camera_optical_frame. `map` is the world frame
+of the scene; `odom` is equal to it, because odometry is exact.
 
 Pure functions. Does not encode messages.
 """

@@ -50,7 +50,7 @@ def mount_row(mount: Mount) -> tuple[float, ...]:
 
 
 def mounted(sensor: Sensor) -> MountedSensor | None:
-    """Returns a sensor with a mounting pose; `None` for wheel odometry."""
+    """Returns the sensor if it has a mounting pose; `None` for wheel odometry, which has none."""
     return None if isinstance(sensor, WheelOdometry) else sensor
 
 

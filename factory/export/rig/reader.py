@@ -1,7 +1,7 @@
 """Reads the measurements of an episode's rig for exporters.
 
-Provides all measurements of an IMU or odometry, and the latest measurement of another sensor at or before a step. Every
-sensor measures at step 0, so a latest measurement always exists. Encodes nothing.
+Provides all measurements of IMUs and odometry; for cameras and lidars, provides the latest measurement at or before a
+step. Every sensor measures at step 0, so a latest measurement always exists. Encodes nothing.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class PaperComparison(Model):
     digits: int
     source: str
     reason: str = ""
-    """Reason of the difference with its numbers; empty if the difference is below the threshold."""
+    """Reason for the difference, with numbers; empty if the difference is below the threshold."""
 
     @property
     def difference(self) -> float | None:

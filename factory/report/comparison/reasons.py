@@ -155,7 +155,7 @@ def explain_success(material: ReportInput, row: AttemptRow) -> str:
         near = ", but near and mid starts must see the target" if spawn.screening is Screening.SIGHT else ""
         return (
             f"{text} Starts are drawn without a check for obstacles, as in the paper{near}; the walls and racks of "
-            "these scenes block other trajectories than those of the paper."
+            "these scenes differ from the paper's, so they block other trajectories."
         )
     return (
         f"{text} Starts are drawn until the straight line to the success circle has a clearance of "

@@ -72,7 +72,7 @@ def _compare(
     *arguments: Any,
     interval: Interval | None = None,
 ) -> Iterator[PaperComparison]:
-    """Yields the comparison of one number; `explain(*arguments)` returns the reason of a noticeable difference."""
+    """Yields the comparison of one number; `explain(*arguments)` returns the reason for a noticeable difference."""
     if published is None:
         return
     target = _KINDS[kind].target(published)

@@ -22,12 +22,12 @@ _SPARE = (1.0, 1.3)
 """Smallest and largest ratio of the floor area of a building to the sum of the desired areas of its rooms. It is at
 least 1, because rooms in rows of unsuitable depth become larger than desired."""
 _RATIO = (0.75, 1.33)
-"""Range of the random factor by which width / depth of a building differs from width / depth of the available floor."""
+"""Range of a random factor: width / depth of a building is width / depth of the available floor times this factor."""
 _MOST_GROWTH = 1.8
 """Largest ratio of the area of a room in a row to its desired area."""
 _MOST_CHANGE = 0.6
-"""The widths of the rooms in a row are changed to fill its length. If the
-total change exceeds this share of the largest total change that the limits of the rooms permit, they do not fit."""
+"""The widths of the rooms in a row are changed so that the row has the length of its block. If the total change exceeds
+this share of the largest change that the limits of the rooms permit, the rooms do not fit."""
 _STEPS = 24
 """Number of steps of the bisection that finds the scale of a floor."""
 
@@ -39,7 +39,7 @@ class RoomSpec(NamedTuple):
     area_m2: float
     least_m: float
     is_hub: bool = False
-    """Whether it may have doors to all rooms; other rooms have doors to hubs only."""
+    """Whether the room may have doors to all kinds of rooms; rooms that are not hubs have doors to hubs only."""
 
 
 Specs = tuple[RoomSpec, ...]
@@ -251,7 +251,7 @@ def _width(spec: RoomSpec, depth: float) -> float:
 def _floor_of(areas: Sequence[Rectangle]) -> float:
     """Returns the sum of the areas; 0 if one has no width or depth, because the halls do not fit on the floor."""
     total = 0.0
-    for x0, y0, x1, y1 in areas:  # one loop over the corners, because a floor is divided thousands of times
+    for x0, y0, x1, y1 in areas:  # plain loop for speed; it runs thousands of times per floor plan
         width, depth = x1 - x0, y1 - y0
         if width <= 0 or depth <= 0:
             return 0.0

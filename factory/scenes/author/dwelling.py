@@ -79,7 +79,7 @@ class BuiltRoom:
     neighbours: list[int] = field(default_factory=list)
 
     def has_wall(self, side: str, at: float, margin: float) -> bool:
-        """Returns whether a side has a wall at a position and within `margin` metres of it."""
+        """Returns whether a side has no joint within `margin` metres of a position; at a joint, there is no wall."""
         return not any(low - margin < at < high + margin for low, high in self.joints.get(side, ()))
 
 

@@ -30,7 +30,8 @@ def find_fault(plan: FloorPlan, name: str) -> str | None:
 def cut_off_rooms(plan: FloorPlan) -> list[str]:
     """Returns the kinds of the rooms in which at most half of the free floor is part of the largest connected floor.
 
-    The clearance is that of scene packages. Door zones count as floor, footprints of standing props as obstacles.
+    Free floor has at least the clearance of connected floor in scene packages. Door zones count as floor, footprints of
+    standing props as obstacles.
     """
     areas = [room.area for room in plan.rooms]
     if not areas:

@@ -47,7 +47,7 @@ class Furnisher:
         return "".join(sorted(order, key=lambda side: side in self.room.doors))
 
     def model(self, name: str, variant: int | None = None) -> PropModel:
-        """Returns a model, by default in a random variant; for models in `_FEW`, in one of the few of the building."""
+        """Returns a model, by default in a random variant. A building uses few variants of the models in `_FEW`."""
         if variant is None:
             few = _FEW.get(name)
             variant = self.plan.pick(_VARIANTS) if few is None else self.palette.art + self.plan.pick(few)
@@ -133,7 +133,7 @@ class Furnisher:
     def beside(
         self, name: str, variant: int | None, of: PropPlacement, along: float, gap: float
     ) -> PropPlacement | None:
-        """Places a piece at the same wall, `along` metres from the centre of another one."""
+        """Places a piece at the same wall as another piece, `along` metres from the centre of that piece."""
         model = self.model(name, variant)
         c, s = math.cos(of.yaw), math.sin(of.yaw)
         shift = float(of.model.high[1]) - float(model.high[1]) - gap

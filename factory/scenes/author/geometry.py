@@ -1,7 +1,7 @@
 """Builds the basic polygon meshes of the built-in scenes: boxes, cushions, lathes, rods, cards, in metres.
 
-All faces are counter-clockwise seen from outside; solids are closed unless their name states otherwise. Does not use
-random numbers or materials.
+All faces are counter-clockwise seen from outside; solids are closed unless stated otherwise. Does not use random
+numbers or materials.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ class Palette(NamedTuple):
     rugs: tuple[str, ...]
     """Textures of the rugs."""
     art: int
-    """Number of the first variant of pictures and tapestries; the building uses this one and some of the next."""
+    """Number of the first variant of pictures and tapestries; the building uses this variant and the next few."""
 
 
 def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:

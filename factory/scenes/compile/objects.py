@@ -35,7 +35,7 @@ def assign_objects(parts: Sequence[Part], things: Iterable[str], models: Iterabl
 
 
 def _owner(path: str, known: frozenset[str]) -> str:
-    """Returns the outermost known ancestor of a path, or the path itself if known, or an empty string."""
+    """Returns the outermost known ancestor of a path, else the path itself if it is known, else an empty string."""
     steps = path.split("/")
     prefixes = ("/".join(steps[:count]) for count in range(2, len(steps) + 1))
     return next((prefix for prefix in prefixes if prefix in known), "")

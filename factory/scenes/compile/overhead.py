@@ -37,7 +37,7 @@ def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, .
     """Returns the parts and a flat ceiling over their extent, visible from below; without a height, only the parts.
 
     Args:
-        parts: parts of the stage; parts for collision only affect neither the extent nor the height of the floor.
+        parts: parts of the stage; the visible ones determine the extent of the ceiling and the height of the floor.
         height_m: height of the ceiling above the floor, metres.
 
     Raises:
@@ -53,7 +53,7 @@ def with_floor(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...
     """Returns the parts and a flat floor over their extent; without a height, only the parts.
 
     Args:
-        parts: parts of the scene; parts for collision only do not affect the extent.
+        parts: parts of the scene; the visible ones determine the extent of the floor.
         height_m: height of the floor in the scene, metres.
     """
     if height_m is None:

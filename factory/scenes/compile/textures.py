@@ -52,7 +52,7 @@ def load_textures(
     Args:
         areas: area that each texture path covers, square metres; the textures with the largest areas get a layer.
         read: function that returns the bytes of a path, a texture to draw, or `None`.
-        users: for each texture path, a prim that uses it and that notes name.
+        users: for each texture path, a prim that uses it, for the notes.
         draw: function that returns the pixels of a texture to draw; not needed for a scene from a file.
     """
     notes: list[str] = []

@@ -121,4 +121,4 @@ class SceneFiles:
 def place_of(folder: Path, reference: str) -> Path:
     """Returns the absolute path of a reference: a relative path, or a URI without scheme or with `file://`."""
     plain = unquote(reference.removeprefix("file://")).replace("\\", "/")
-    return Path(os.path.normpath(Path.cwd() / folder / plain))  # absolute, because textures are read through a resolver
+    return Path(os.path.normpath(Path.cwd() / folder / plain))  # absolute, because `read_asset` reads no relative path

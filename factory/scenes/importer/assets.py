@@ -18,7 +18,7 @@ def asset_path(value: Any) -> str:
 
 def read_asset(path: str) -> bytes | None:
     """Returns the bytes of a resolved asset, or `None` if it cannot be read."""
-    if not Path(path).is_absolute():  # an unresolved path is not relative to the working directory
+    if not Path(path).is_absolute():  # unresolved; USD would open it relative to the working directory
         return None
     asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
     if asset is None:

@@ -90,6 +90,6 @@ class Extraction:
     ceiling_m: float | None = None
     """Height above the floor of a ceiling to add, metres."""
     articulated: frozenset[str] = frozenset()
-    """Paths of objects with movable parts. Parts with the category of the object, such as drawers, belong to it."""
+    """Paths of objects with movable parts, such as drawers. Parts of the category of their object are not targets."""
     images: Mapping[str, bytes | TextureRecipe] = field(default_factory=dict)
     """Encoded images that are part of another file, and textures to draw, by their name in `Surface.texture`."""

@@ -1,6 +1,6 @@
-"""Computes contact shadows of objects on the floor. A few rays from coarse texels would miss those of thin legs.
+"""Computes contact shadows of objects on the floor. Pure functions. Does not use lamps.
 
-Pure functions. Does not use lamps.
+The few rays from coarse texels of the light map would miss the contact shadows of thin legs.
 """
 
 from __future__ import annotations

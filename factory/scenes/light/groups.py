@@ -72,7 +72,7 @@ def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
 
 
 def group_lamps(lamps: Lamps) -> list[Ints]:
-    """Returns the lamps of each group: lamps that shine down by position, then windows, then screens."""
+    """Returns the lamps of each group: first lamps that shine down, grouped by position, then windows, then screens."""
     area = np.linalg.norm(np.cross(lamps.sides[:, 0], lamps.sides[:, 1]), axis=1)
     is_down = lamps.normal[:, 2] < _DOWN
     groups = [np.flatnonzero(is_down)]

@@ -24,7 +24,8 @@ _PROXY_MARGIN_M = 0.1
 def solid_triangles(visible: Sequence[Part], colliders: Sequence[Part], floor_m: float) -> Floats:
     """Returns the solid triangles (T, 3, 3), world metres.
 
-    An authored collider replaces the visible parts that are its siblings in the prim tree and are inside its box.
+    Authored colliders with the same parent prim replace the visible parts below this prim that are inside the bounding
+    box of these colliders. Colliders directly below the root prim replace nothing.
 
     Args:
         visible: visible parts.
@@ -40,7 +41,7 @@ def solid_triangles(visible: Sequence[Part], colliders: Sequence[Part], floor_m:
 
 
 def _boxes_by_parent(colliders: Sequence[Part]) -> dict[str, Floats]:
-    """Returns the union box (2, 3) of the colliders below each prim, without those directly below the root prim."""
+    """Returns the bounding box (2, 3) of the colliders directly below each prim except the root prim."""
     boxes: dict[str, Floats] = {}
     for part in colliders:
         parent = part.path.rpartition("/")[0]
@@ -65,7 +66,7 @@ def _is_replaced(part: Part, boxes: dict[str, Floats]) -> bool:
 
 
 def weld(triangles: Floats) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Merges equal corners and drops degenerate and double triangles.
+    """Merges equal corners and drops degenerate and duplicate triangles.
 
     Returns:
         Vertices (M, 3), metres, and the triangles as indices (K, 3) of vertices.

@@ -83,7 +83,7 @@ def draw_band(triangles: Floats, floor_m: float, band: tuple[float, float], fram
 
     Args:
         triangles: (T, 3, 3) world metres.
-        floor_m: height of the floor.
+        floor_m: height of the floor, metres.
         band: lowest and highest height above the floor, metres.
         frame: origin and shape of the grid.
     """
@@ -97,7 +97,7 @@ def draw_band(triangles: Floats, floor_m: float, band: tuple[float, float], fram
 
 
 def _plan_extent(triangles: Floats) -> Floats:
-    """Returns the plan width of each triangle: plan area divided by the longest plan side, metres."""
+    """Returns the plan width of each triangle: its altitude on its longest side in plan, metres."""
     flat = triangles[:, :, :2]
     ab, ac = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     area = np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])

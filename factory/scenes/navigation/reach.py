@@ -47,7 +47,8 @@ class Terrain:
         return np.asarray(on_floor.astype(bool) & self.grid.are_poses_free(x, y, yaw, margin_m))
 
     def can_start(self, points: Floats, yaw: ArrayLike) -> Bools:
-        """Returns whether each base_link point (N, 2) is outside all boxes and the robot fits with the spawn margin."""
+        """Returns whether the robot can start at each base_link point (N, 2): it fits with the spawn margin, and the
+        point is outside all boxes."""
         fits = self.fits(points[:, 0], points[:, 1], yaw, self.config.margin_m)
         return np.asarray(fits & ~are_within(points, self.taken))
 
@@ -71,7 +72,7 @@ def tiers_of(
         rows = np.flatnonzero(_are_reachable(terrain, every))
         reachable = every.chosen(rows)
         straight, connected = _ring_tiers(terrain, reachable)
-        # the straight distance, because the path along the floor is at least as long
+        # tests the straight distance; the path along the floor is at least as long
         is_far = reachable.distances(spawns) >= FAR_FLOOR_M[0]
         straight[Tier.FAR] = np.asarray(_see(terrain, spawns, reachable, is_far).any(axis=1))
         connected[Tier.FAR] = np.asarray(is_far.any(axis=1))
@@ -85,7 +86,8 @@ def _chosen(tiers: dict[Tier, Bools], place: int) -> tuple[Tier, ...]:
 
 
 def _are_reachable(terrain: Terrain, goals: Goals) -> Bools:
-    """Returns whether a pose in the success region is free, on the connected floor and in sight of each target."""
+    """Returns for each target whether its success region has a free pose on the connected floor from which the target
+    is visible."""
     yaw = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
     found = np.zeros(len(goals.centres), bool)
     for share in _ARRIVAL_SHARES:  # most targets are reachable at the first distance

@@ -92,7 +92,8 @@ def facing(scene: CompiledScene, target: Target) -> float:
 
 
 def _view_alone(scene: CompiledScene, target: Target) -> Viewpoint:
-    """Returns a viewpoint beside the open side and slightly above, from which the target fills the frame."""
+    """Returns a viewpoint obliquely in front of the open side of the target and slightly above, from which the target
+    fills the frame."""
     yaw = facing(scene, target) + _ASIDE_RAD
     radius = float(np.linalg.norm(target.size_m)) / 2
     way = _ROOM * radius / math.sin(math.radians(_FOV_DEG) / 2)

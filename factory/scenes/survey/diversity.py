@@ -117,7 +117,7 @@ def spreads(layouts: Sequence[LayoutFacts]) -> dict[str, Distribution]:
 
 
 def coarse_map(scene: CompiledScene) -> Bools:
-    """Returns the cells of a layout, 0.2 m wide, of which at least half is occupied; without empty margins."""
+    """Returns a map of a layout without empty margins: cells of 0.2 m, true if at least half of a cell is occupied."""
     occupied = scene.occupancy == OCCUPIED
     rows, columns = np.nonzero(occupied)
     cut = occupied[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]

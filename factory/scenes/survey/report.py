@@ -52,7 +52,7 @@ class SurveyReport:
     blind: int
     """Number of spawns from which no target is reachable by straight driving."""
     unseen: tuple[str, ...]
-    """Ids of the targets that are visible from no spawn."""
+    """Ids of the targets that are not reachable by straight driving from any spawn."""
     sights: tuple[SpawnSight, ...]
     shortcomings: tuple[str, ...]
     """Unmet requirements of the scene, each with a remedy; empty if all are met."""

@@ -22,8 +22,8 @@ _CLOSEST_M = 0.3
 def survey_spawns(terrain: Terrain) -> NDArray[np.float32]:
     """Returns spawn points (S, 2) x, y of the base_link, metres, spread over the connected floor.
 
-    For three headings in four, the footprint with the spawn margin is free and on the connected floor. No point is
-    within the box of a candidate.
+    For at least three of four headings, the footprint with the spawn margin is free and on the connected floor. No
+    point is within the box of a candidate.
     """
     points = _open_points(terrain)
     area = float(terrain.floor.sum()) * terrain.grid.resolution_m**2

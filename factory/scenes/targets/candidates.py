@@ -114,7 +114,7 @@ def _search(tree: _Tree, path: str) -> Iterator[Candidate]:
 
 
 def _is_container(tree: _Tree, path: str, category: str) -> bool:
-    """Returns whether a prim is a container: two of its children have its category and disjoint boxes."""
+    """Returns whether a prim is a container: two of its children have its category and boxes disjoint in plan."""
     if path in tree.extraction.components or path in tree.extraction.articulated:
         return False
     rules = ((child, tree.rule_of(child)) for child in tree.children.get(path, ()))

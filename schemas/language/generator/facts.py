@@ -103,7 +103,7 @@ class SceneFacts:
 
     @cached_property
     def same_room(self) -> Masks:
-        """(N, N) pairs in one room; only possible if a wide opening is between them, or a room is unknown."""
+        """(N, N) pairs in one room; pairs with a wide opening between them or an unknown room are only `possible`."""
         room, area = self.graph.room_of, self.graph.area_of
         known = (room > 0) & (area > 0)
         sure = (room[:, None] == room) & (area[:, None] == area) & known[:, None] & known
@@ -225,7 +225,7 @@ class SceneFacts:
         return Masks(found.sure & clear & level, found.possible & apart)
 
     def in_room(self, room: int, area: int | None = None) -> Masks:
-        """Returns the objects in a room; if a part of the room is given, objects in other parts are only possible."""
+        """Returns the objects in a room; if a part of the room is given, objects in other parts are only `possible`."""
         found = self.graph.room_of
         sure = found == room
         if area is not None:

@@ -36,7 +36,7 @@ class _Wayside(NamedTuple):
     """Distance of the near side of each object from the axis of the heading."""
 
     def hidden(self, numbers: Ints, is_sure: Bools) -> Bools:
-        """Returns which objects are hidden by a nearer object with `is_sure`, as seen sideways from the line ahead."""
+        """Returns which objects are hidden from the way ahead by a nearer object for which `is_sure` is true."""
         low, high, near = self.low[numbers], self.high[numbers], self.near[numbers]
         shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
         covers = (shared >= limit.ROW_HIDDEN * (high - low)) & (near >= near[:, None] + limit.ROW_HIDDEN_M)

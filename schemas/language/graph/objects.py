@@ -38,7 +38,7 @@ class RawObject:
     looks: str | None = None
     """Kind that its prim names, if it differs from `kind` and a viewer may see the object as that kind."""
     shows: tuple[str, ...] = ()
-    """Kinds that a viewer may see in it."""
+    """Kinds for which a viewer may mistake it or a part of it."""
     materials: tuple[str, ...] = ()
     """Recorded materials."""
 
@@ -107,8 +107,8 @@ def _of_category(
 
 
 def _landmark_key(table: Kinds, segments: Sequence[str]) -> tuple[str, tuple[str, ...], str] | None:
-    """Returns the kind of the object that contains a prim without a category, the kinds that a viewer may see in the
-    object, and its path; `None` if no segment of the prim's path names a kind."""
+    """Returns the kind of the object that contains a prim without a category, the kinds for which a viewer may
+    mistake the object, and its path; `None` if no segment of the prim's path names a kind."""
     named, seen = table.landmark_of(segments), table.seen_in(segments)
     if named is not None:
         return named[0], (), "/".join(segments[: named[1] + 1])

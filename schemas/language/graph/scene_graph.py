@@ -65,7 +65,8 @@ class SceneObject:
     looks: str | None = None
     """Kind in the name of its prim, if it differs from `kind` and a viewer may see the object as that kind."""
     shows: tuple[str, ...] = ()
-    """Kinds for which a viewer may mistake a part of it; for example, the screen of a till looks like a monitor."""
+    """Kinds for which a viewer may mistake it or a part of it; for example, the screen of a till looks like a
+    monitor."""
     area: int = 0
     """Number of the part of its room; wide openings divide a room into parts. 0 if unknown."""
     materials: tuple[str, ...] = ()
@@ -133,7 +134,7 @@ class SceneGraph:
         """Returns the parts of a room that show its type.
 
         If objects define the type, these are the parts that contain such an object. Otherwise, the shape of the room
-        defines it: a room with one part returns this part, a room with several parts returns none.
+        defines it: the result is the only part of the room, or empty if the room has several parts.
         """
         areas = frozenset(each.area for each in self.objects if each.room == room)
         shown = self.kinds.rooms[kind].has

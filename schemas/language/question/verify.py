@@ -187,7 +187,7 @@ class QuestionVerifier:
                 is_right = not any(each.possible or each.fault for each in verdicts)
             case _:
                 is_right = all(not each.fault and len(each.sure) > 1 for each in verdicts)
-        return "" if is_right else "another number of objects fits the instruction"
+        return "" if is_right else "a different number of objects fits the instruction"
 
     def _movement_fault(self, answer: AnswerKind, start: int, end: int) -> str:
         headings, driven = self._replay.headings(start, end), self._replay.driven(start, end)

@@ -92,7 +92,7 @@ class RouteSearch:
     def steps(self) -> list[SpannedStep]:
         """Returns the steps, whose spans cover the path; empty if a part of it has no clear description."""
         parts = divide_path(self._path)
-        if parts[-1].turn_rad:  # the robot stops at the end of a turn
+        if parts[-1].turn_rad:  # the path ends with a turn, so the end of this turn becomes the stop
             parts[-1:] = self._cut(parts[-1])
         changes = room_changes(self._graph, self._path)
         found: list[SpannedStep] = []

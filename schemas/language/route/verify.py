@@ -170,7 +170,7 @@ class RouteVerifier:
                 return "" if abs(last) <= abs(first) * (1.05 - limit.TOWARDS_SHARE) else "the robot does not get closer"
             case _:
                 if number != target:
-                    return "it names another object than the target"
+                    return "it names an object other than the target"
                 return "" if replay.gap(number, end - 1) <= limit.STOP_M.good else "the robot stops elsewhere"
 
     def _fitting(self, named: Expression, replay: PoseReplay, start: int, end: int) -> set[int]:

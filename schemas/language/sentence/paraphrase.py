@@ -37,7 +37,7 @@ def pattern_fault(code: str, text: str) -> str:
     before, _, after = text.partition("{" + ":".join(filter(None, slots[0])) + "}")
     around = f"{before} {after}"
     if _MARKS & set(around) or any(character.isdigit() for character in around):
-        return "it has marks or numbers"
+        return "it has digits, or special characters such as ( or |"
     source, own = grammar(code), _known_words(code)
     case, governor = slots[0][1], _last_word(before)
     if source.genders and (case or "nom", governor) not in own.governed:

@@ -229,7 +229,7 @@ class Reader:
             for text in texts:
                 for whole in _forms(text):
                     pieces = SLOT.split(whole)  # literal, slot, case, literal, ...
-                    for place in range(2, len(pieces), 3):  # `many`: plural nouns, in their own table
+                    for place in range(2, len(pieces), 3):  # plural nouns are another slot, with a separate table
                         pieces[place - 1] = "many" if pieces[place] == "many" else pieces[place - 1]
                     parts = [piece for number, piece in enumerate(pieces) if number % 3 != 2]
                     yield relation, tuple(self.normal(part).strip() for part in parts if part.strip())

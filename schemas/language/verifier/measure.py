@@ -239,7 +239,7 @@ def _to_segment(point: complex, a: complex, b: complex) -> float:
 
 
 def _polygon_gap(one: list[complex], two: list[complex]) -> float:
-    """Returns the smallest distance of two convex polygons; 0 if they overlap."""
+    """Returns the smallest distance between two convex polygons; 0 if they overlap."""
     if any(_contains(two, point) for point in one) or any(_contains(one, point) for point in two):
         return 0.0
     edges_one = list(zip(one, one[1:] + one[:1], strict=True))

@@ -32,7 +32,7 @@ def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[in
 
 
 def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneView) -> dict[int, Truth]:
-    """Returns the object in view at a position counted from a side; all candidates, as `MAYBE`, if not certain."""
+    """Returns the object in view at a position counted from a side; if it is uncertain, all candidates as `MAYBE`."""
     sign = -1.0 if side is ViewSide.LEFT else 1.0
     seen = [number for number in truths if view.possible[number]]
     order = sorted(seen, key=lambda number: sign * float(view.bearing[number]))
@@ -51,7 +51,7 @@ def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneVie
 def counted_ahead(
     truths: Mapping[int, Truth], place: int, side: ViewSide, view: SceneView, prints: Footprints
 ) -> dict[int, Truth]:
-    """Returns the object at a position along one side of the way ahead; all candidates, as `MAYBE`, if not certain."""
+    """Returns the object at a position on one side of the way ahead; if it is uncertain, all candidates as `MAYBE`."""
     boxes = {number: prints.seen_along((view.x, view.y), view.yaw, number, AHEAD_SIDES[side]) for number in truths}
     found = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
     sure = [boxes[number] for number, truth in found.items() if truth is Truth.YES]

@@ -103,7 +103,7 @@ def test_every_object_is_the_target_equally_often():
         TargetChoice(around=3, among=(3,), share=1.0)
 
 
-def test_the_candidates_are_the_planned_target_or_those_of_the_draw():
+def test_the_candidates_are_the_objects_of_the_draw_or_only_the_planned_target():
     info = make_entry("office", [LEFT, RIGHT, _target(9, 3, 0)]).info
     assert candidates_of(_job(), info) == (LEFT, RIGHT)
     assert candidates_of(_job().aimed_at(RIGHT), info) == (RIGHT, LEFT)

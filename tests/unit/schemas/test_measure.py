@@ -39,7 +39,7 @@ def test_the_distance_beyond_the_end_of_a_footprint_without_area_is_that_to_its_
 
 
 @pytest.mark.parametrize("goal", [BY_SURFACE, BY_CENTROID])
-def test_approach_ends_at_the_distance_on_the_line_to_the_centroid_and_keeps_nearer_starts(goal: Goal) -> None:
+def test_approach_ends_at_the_given_distance_on_the_line_to_the_centroid_and_keeps_nearer_starts(goal: Goal) -> None:
     starts = np.array([[4.0, 0.0], [3.0, 4.0], [0.0, -3.0], [0.1, 0.2]])
     ends = goal.approach(starts, 0.97)
     assert goal.distances(ends[:3]) == pytest.approx(0.97, abs=1e-6)

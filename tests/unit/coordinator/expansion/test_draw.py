@@ -28,7 +28,7 @@ BY_SURFACE = TaskConfig(success=SuccessMeasure.SURFACE)
 
 
 @given(st.dictionaries(st.text(max_size=3), st.floats(0.01, 1.0), min_size=1, max_size=6), st.integers(0, 300))
-def test_apportionment_is_exact_and_within_one_of_the_quota_for_equal_shares(shares, count):
+def test_apportionment_has_the_exact_sum_and_counts_of_equal_shares_differ_by_at_most_one(shares, count):
     seats = apportion(shares, count)
     assert sum(seats.values()) == count
     equal = apportion(dict.fromkeys(shares, 1.0), count)
@@ -82,7 +82,7 @@ def test_the_demo_has_16_episodes_spread_evenly_over_scenes_and_splits():
     )
 
 
-def test_the_first_twelve_jobs_of_the_demo_are_those_of_the_demo_with_15_episodes():
+def test_the_demo_begins_with_the_same_twelve_jobs_as_its_former_version_with_15_episodes():
     demo = BUILTIN_PLANS["demo"]
     scenes = (*demo.scenes[:3], demo.scenes[3].model_copy(update={"episodes": 3}))
     former = demo.model_copy(update={"scenes": scenes})
@@ -141,7 +141,7 @@ def test_redraws_depend_on_plan_index_and_draw_only():
     assert forward == backward[::-1]
 
 
-def test_equal_plans_expand_equally_and_another_seed_differently():
+def test_equal_plans_give_equal_jobs_and_another_seed_gives_different_jobs():
     plan = shrink(PAPER, episodes=60)
     catalog = make_catalog(plan)
     assert expand(plan, catalog) == expand(plan, catalog)
@@ -160,7 +160,7 @@ def test_every_infeasible_cell_is_named_before_the_run():
     assert "train_id / near" not in text
 
 
-def test_absent_categories_are_reported_once_without_their_cells():
+def test_absent_categories_are_reported_on_one_line_and_not_for_each_cell():
     scene = ScenePlan(name="lab", usd="lab.usda", seen=("chair", "table"), held_out=("plant",), episodes=50)
     plan = Plan(name="x", scenes=(scene,))
     (line,) = find_impossible(plan, {"lab": make_entry("lab", [make_target("shelf", 1, 1), make_target("bin", 1, 2)])})
@@ -224,7 +224,7 @@ def test_the_screening_of_a_scene_replaces_that_of_the_plan() -> None:
 
 
 @pytest.mark.parametrize("screening", ["none", "foreseen"])
-def test_the_plan_paper_with_another_screening_of_a_scene_is_not_a_paper_plan(screening: str) -> None:
+def test_the_paper_plan_with_another_screening_of_a_scene_does_not_count_as_the_paper_plan(screening: str) -> None:
     assert is_paper_plan(shrink(PAPER, scenes=("office", "hospital"), episodes=10))
     office = PAPER.scenes[0].model_copy(update={"screening": Screening(screening)})
     assert not is_paper_plan(PAPER.model_copy(update={"scenes": (office, *PAPER.scenes[1:])}))
@@ -236,7 +236,7 @@ def test_the_default_screening_is_omitted_from_json_so_that_old_digests_stay_val
     assert "screening" not in ScenePlan(name="office", episodes=1).model_dump()
 
 
-def test_the_error_of_a_plan_with_the_surface_measure_names_scenes_of_older_versions_and_both_remedies():
+def test_the_error_of_the_surface_measure_names_scenes_without_footprints_and_both_remedies():
     plan = Plan(name="old", scenes=(ScenePlan(name="office", episodes=4),), task=BY_SURFACE)
     bare = [make_target("chair", 1, 1).model_copy(update={"footprint_m": (), "surface_straight_tiers": ()})]
     (line,) = find_impossible(plan, {"office": make_entry("office", bare)})
@@ -255,7 +255,7 @@ def test_a_target_whose_centroid_is_out_of_reach_is_drawn_only_with_the_surface_
     assert "no reachable 'table' (seen)" in find_impossible(by_centroid, {"office": entry})[0]
 
 
-def test_an_attempts_generator_depends_on_seed_index_and_attempt():
+def test_the_random_generator_of_an_attempt_depends_on_seed_index_and_attempt():
     plan = shrink(PAPER, episodes=4)
     catalog = make_catalog(plan)
     first, second = expand(plan, catalog)[:2]

@@ -83,7 +83,7 @@ def test_a_single_instance_is_shared_and_reported() -> None:
     assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION) == {"trash_can_000"}
 
 
-def test_instances_with_starts_in_every_tier_are_divided_between_both_sides() -> None:
+def test_instances_with_starts_in_every_tier_are_divided_between_training_and_evaluation() -> None:
     targets = [make_target("chair", n, n + 1, tiers=[Tier.NEAR]) for n in range(6)]
     targets += [make_target("chair", n, n + 1) for n in (6, 7)]
     entry = make_entry("hospital", targets)
@@ -106,7 +106,7 @@ def test_the_only_target_of_a_tier_is_shared_so_that_no_cell_is_empty() -> None:
     assert scene_cells(plan, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.FAR)
 
 
-def test_the_sides_of_instances_depend_only_on_plan_and_scene_and_exclude_instances_without_starts() -> None:
+def test_the_division_of_instances_depends_only_on_plan_and_scene_and_omits_instances_without_starts() -> None:
     catalog = hospital_of(9, 9)
     first, second = (scene_cells(office_plan(), office_plan().scenes[0], catalog["hospital"]).sides for _ in range(2))
     assert first == second

@@ -82,14 +82,14 @@ def test_category_counts_of_a_family_differ_by_at_most_one_over_all_layouts() ->
         assert max(counts.values()) - min(counts.values()) <= 1
 
 
-def test_the_planned_categories_of_layouts_are_those_that_are_drawn() -> None:
+def test_the_planned_category_counts_of_layouts_equal_the_drawn_counts() -> None:
     plan = family_plan()
     drawn = Counter(job.episode.category for job in expand(plan, make_catalog(plan)) if job.episode.scene != "office")
     assert planned_categories(plan) == drawn
     assert not planned_categories(family_plan(balance="instances"))
 
 
-def test_a_layout_without_a_category_of_its_quota_is_refused_only_if_the_quota_is_exact() -> None:
+def test_a_layout_without_targets_for_its_category_quota_is_refused_only_if_the_quota_is_exact() -> None:
     exact, loose = family_plan(), family_plan(balance="categories")
     catalog = make_catalog(exact)
     entry = catalog["home_00010"]

@@ -177,7 +177,7 @@ def test_the_error_of_an_unknown_recording_lists_the_valid_recordings(tmp_path):
         load_plan(str(path))
 
 
-def test_a_paper_plan_that_records_states_is_a_paper_plan():
+def test_the_paper_plan_with_recorded_states_still_counts_as_the_paper_plan():
     assert is_paper_plan(shrink(BUILTIN_PLANS["paper"], record=Recording.STATES))
 
 
@@ -207,7 +207,7 @@ def test_a_ceiling_is_permitted_for_a_stage_and_refused_for_a_built_in_scene() -
         ScenePlan(name="lab", usd="lab.usda", seen=("chair",), episodes=1, ceiling_m=0.5)
 
 
-def test_a_copy_with_other_values_has_another_digest() -> None:
+def test_a_copy_of_a_plan_has_the_digest_of_its_own_values() -> None:
     plan = load_plan("demo")
     before = plan.digest
     other = plan.model_copy(update={"seed": plan.seed + 1})
@@ -238,7 +238,7 @@ def test_the_success_measure_defaults_to_surface_in_a_plan_file_and_to_centroid_
     assert Plan.model_validate_json(older.model_dump_json()) == older
 
 
-def test_the_plan_balanced_unlike_the_plan_paper_measures_to_the_surface_and_restricts_demonstrations():
+def test_the_balanced_plan_measures_to_the_surface_and_restricts_demonstrations_unlike_the_paper_plan():
     paper, balanced = load_plan("paper"), load_plan("balanced")
     assert paper.task.success is SuccessMeasure.CENTROID
     assert "demonstration" not in paper.model_dump_json()

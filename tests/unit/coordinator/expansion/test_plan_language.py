@@ -69,7 +69,7 @@ def test_only_categories_with_enough_objects_are_drawn_and_the_error_lists_these
     assert {job.episode.template_id for job in jobs} == {FROM_START}
 
 
-def test_the_start_view_shows_other_objects_of_the_category_and_ranks_are_drawn_once_for_each_episode():
+def test_the_start_view_requires_another_object_of_the_category_and_each_episode_has_its_own_ranks():
     plan = _plan(in_view=1, balanced=True)
     catalog = {"office": ENTRY}
     found = [to_job(plan, catalog, job, 1).start_view for job in expand(plan, catalog)]

@@ -1,4 +1,4 @@
-"""Instructions that fit only one object: selected targets, conditions of the job, and requests that are refused."""
+"""Instructions that fit only one object: selected targets, conditions of the job, and refused requests."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_jobs_without_conditions_have_the_json_of_earlier_versions():
     assert Job.model_validate_json(with_view.model_dump_json()) == with_view
 
 
-def test_the_summary_counts_ambiguous_instructions_and_targets_that_are_shown_alone():
+def test_the_summary_counts_ambiguous_instructions_and_those_with_a_start_that_shows_only_the_target():
     entry = {"office": ENTRY}
     off, view = (summarise(_plan(unique, seen=("monitor", "plant")), entry) for unique in ("off", "view"))
     assert (off.ambiguous, off.shown_alone) == (60, 0)

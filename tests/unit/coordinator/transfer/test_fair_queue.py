@@ -47,7 +47,7 @@ def test_an_owner_has_a_second_active_item_only_while_no_other_owner_waits() -> 
     assert queue.sizes() == {"a": 3, "b": 1}
 
 
-def test_consecutive_items_that_join_are_served_in_one_turn_of_their_owner() -> None:
+def test_consecutive_small_items_of_an_owner_are_served_in_one_turn() -> None:
     queue: FairQueue[str] = FairQueue(lambda turn, item: len(turn) < 3 and item.startswith("small"))
     for item in ("small1", "small2", "large", "small3", "small4", "small5", "small6"):
         queue.put("a", item)

@@ -86,7 +86,7 @@ def test_no_bundle_of_a_host_is_trusted_after_an_invalid_one() -> None:
     assert [scope.value for scope in recorder.scopes] == ["all", "claim", "all", "all", "all"]
 
 
-def test_spot_checks_have_the_share_of_the_settings_and_depend_on_the_secret() -> None:
+def test_the_share_of_spot_checks_is_that_of_the_settings_and_their_selection_depends_on_the_secret() -> None:
     pulls = [pull_of(number) for number in range(1, 2001)]
     one, again, other = (scopes_of(pulls, 0.05, secret) for secret in (b"one", b"one", b"other"))
     assert one == again

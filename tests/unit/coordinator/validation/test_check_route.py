@@ -32,7 +32,7 @@ def test_a_correct_route_is_accepted():
     assert findings(parts_for()) == []
 
 
-def test_an_unconnected_start_has_no_distance():
+def test_a_missing_distance_of_an_unconnected_start_is_accepted():
     assert findings(planner_parts(geodesic_m=None)) == []
 
 

@@ -215,7 +215,7 @@ def test_an_episode_with_the_surface_measure_has_no_findings_although_the_centro
 
 
 @pytest.mark.parametrize(("breaker", "text"), SURFACE.values(), ids=SURFACE)
-def test_false_claims_about_surface_contact_and_view_are_found(breaker: Breaker, text: str) -> None:
+def test_false_claims_about_contact_view_and_the_surface_measure_are_found(breaker: Breaker, text: str) -> None:
     assert text in findings_of(breaker(parts_for()))
 
 
@@ -301,7 +301,7 @@ def test_smallest_states_recording_has_no_findings_and_no_frames() -> None:
 
 
 @pytest.mark.parametrize(("made", "text"), STATES.values(), ids=STATES)
-def test_contradiction_of_a_states_recording_is_found(made: Callable[[], bytes], text: str) -> None:
+def test_contradiction_in_a_states_recording_is_found(made: Callable[[], bytes], text: str) -> None:
     found = validate(BundleReader(io.BytesIO(made())), None, (chair(),))
     assert any(text in finding for finding in found)
 

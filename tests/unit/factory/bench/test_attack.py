@@ -1,4 +1,4 @@
-"""Tests that the hostile clients of the benchmark report a connection reset at any moment, and continue a flood."""
+"""The hostile clients of the benchmark report a connection reset at any moment; a flood continues after resets."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, 
         ("rlds", "TFDS builds it .*docs/formats/rlds/README.md"),
     ],
 )
-def test_the_error_of_an_unknown_format_suggests_the_closest_format_or_its_recipe(name: str, said: str) -> None:
+def test_the_error_of_an_unknown_format_suggests_the_closest_format_or_names_its_page(name: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         cli.main(["export", ".", "--to", name, "-o", "nowhere"], standalone_mode=False)
 

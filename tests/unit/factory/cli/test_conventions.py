@@ -46,11 +46,11 @@ DIFFERENT = {
     ("factory bench collect", "--record"): "compares both recordings",
     ("factory render", "--rig"): "renders several rigs",
     ("factory run", "--scenes"): "names a folder of packages",
-    ("factory relabel", "--language"): "a file; a flag of `factory stats`",
+    ("factory relabel", "--language"): "takes a file; `factory stats` has a flag of this name",
     ("factory keys host", "--address"): "lists the addresses of one host",
-    ("factory repair", "--plan"): "an addition to the dataset it works on",
+    ("factory repair", "--plan"): "is an option, because the argument is the dataset",
 }
-"""Options that take a different kind of value than the other options of the same name, and the reason."""
+"""Options that may be declared differently from the other options of the same name, and the reason."""
 FORMER = {
     ("factory eval run", "--data"),
     ("factory train bc", "--data"),
@@ -145,7 +145,7 @@ def test_every_option_name_follows_the_convention() -> None:
     assert {(path, name) for path, option in options() for name in option.opts if name in SYNONYMS} <= DIFFERENT.keys()
 
 
-def test_an_output_is_named_by_o_and_out_everywhere() -> None:
+def test_every_option_for_an_output_is_spelt_o_and_out() -> None:
     spelt = {(path, tuple(option.opts)) for path, option in options() if {"-o", "--out"} & set(option.opts)}
     assert len(spelt) > 12
     assert {names for _, names in spelt} == {("-o", "--out")}
@@ -161,9 +161,9 @@ def test_options_of_the_same_name_are_declared_equally_in_every_command() -> Non
     assert {name: dict(found) for name, found in kinds.items() if len(found) > 1} == {}
 
 
-def test_a_choice_is_one_of_the_printed_values() -> None:
+def test_every_choice_is_a_plain_text() -> None:
     choices = {(path, *option.type.choices) for path, option in options() if isinstance(option.type, click.Choice)}
-    # a choice must be a plain text: an enum member has a name in addition to its value
+    # for an enum member, click would print and accept its name instead of its value
     assert not [found for found in choices if any(type(value) is not str for value in found)]
 
 

@@ -132,13 +132,13 @@ def test_large_windows_are_shuffled_in_buffers_of_whole_episodes(
     assert max(reach) < 60
 
 
-def test_clips_are_sampled_by_their_own_counts(dataset: Dataset) -> None:
+def test_the_sampler_counts_clips_and_not_frames(dataset: Dataset) -> None:
     clips = ClipDataset(dataset, 3, stride=2)
     assert clips.counts[:6].tolist() == [3, 0, 5, 0, 1, 0]
     assert sorted(SceneSampler(clips)) == list(range(len(clips)))
 
 
-def test_few_scenes_are_shuffled_as_a_whole() -> None:
+def test_the_samples_of_few_scenes_are_shuffled_together() -> None:
     scenes = np.array([0, 1, 2, 0, 1, 3])
     (window,) = shuffle_by_scene(scenes, np.random.default_rng(5))
     assert np.array_equal(window, np.random.default_rng(5).permutation(6))

@@ -230,7 +230,7 @@ def test_modality_covers_the_whole_state_and_action(older: Path) -> None:
     stats = json.loads((older / "meta/stats.json").read_text())
     for part in (*MODALITY["state"].values(), *MODALITY["action"].values()):
         assert np.issubdtype(part["dtype"], np.number)
-    for key in ("observation.state", "action", "tokens"):  # GR00T slices every statistic by the parts of `MODALITY`
+    for key in ("observation.state", "action", "tokens"):  # GR00T takes each part of `MODALITY` out of every statistic
         assert {len(values) for values in stats[key].values()} == {features[key]["shape"][0]}
 
 
@@ -245,7 +245,8 @@ def test_version_2_1_uses_the_list_type_of_its_readers(older: Path) -> None:
 
 def test_files_are_split_at_their_size_limit(varied: Path, tmp_path: Path) -> None:
     shutil.copytree(varied, tmp_path / "data")
-    (tmp_path / "data/episodes/ep_000003.zip").unlink()  # an incomplete export keeps its pieces
+    # an episode is missing, so the export is incomplete and does not delete its pieces
+    (tmp_path / "data/episodes/ep_000003.zip").unlink()
     options, out = LeRobotOptions(fps=10), tmp_path / "out"
     assert not run_export(ExportOrder(tmp_path / "data", out, "lerobot", options)).complete
     dataset = Dataset(varied)

@@ -43,7 +43,7 @@ def question(start: int, end: int, reason: str | None, language: str = "en") -> 
     )
 
 
-def test_a_question_is_asked_at_the_first_exported_frame_of_its_answer_and_omitted_if_there_is_none():
+def test_a_question_is_stored_at_the_first_exported_frame_of_its_span_and_omitted_if_the_span_has_none():
     asked = [
         question(0, 1, "R."),
         question(16, 40, None),

@@ -76,7 +76,7 @@ def test_every_new_instruction_fits_its_target_only_and_the_dataset_is_valid(sou
     assert verify(relabelled, deep=True).findings == verify(source, deep=True).findings
 
 
-def test_questions_are_rows_of_their_episodes_that_the_verifier_accepts(source, relabelled):
+def test_every_question_is_stored_with_its_episode_and_accepted_by_the_verifier(source, relabelled):
     scene, dataset = SceneLanguage(build_graph(scene_with_the_chair())), Dataset(relabelled)
     rows = dataset.questions.to_pylist()
     assert {row["kind"] for row in rows} >= {"object", "visible", "feasible"}
@@ -123,7 +123,7 @@ def test_another_language_file_or_foreign_directory_is_refused(source, relabelle
     assert [path.name for path in tmp_path.iterdir()] == ["note.txt"]
 
 
-def test_the_draw_of_targets_is_refused_for_recorded_episodes(source, tmp_path):
+def test_drawing_the_target_at_the_start_is_refused_for_recorded_episodes(source, tmp_path):
     with pytest.raises(InvalidLanguage, match="exchangeable: a plan can draw the target at the start"):
         relabel(source, tmp_path / "out", LanguageSpec(exchangeable=True, in_view=1))
     assert not (tmp_path / "out").exists()

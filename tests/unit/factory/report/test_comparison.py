@@ -128,7 +128,7 @@ def test_the_target_of_far_starts_is_15_percent_of_the_published_number() -> Non
     assert steps.target == pytest.approx((414.6 * 0.85, 414.6 * 1.15))
 
 
-def test_the_targets_of_r_and_ne_are_those_of_the_plan_paper() -> None:
+def test_the_targets_of_r_and_ne_are_those_of_the_paper_plan() -> None:
     straight = [drive(k, 2.0 + 0.1 * k, 1.0 + 0.1 * k, 0.967) for k in range(1, 40)]
     r = found(straight, "Pearson r")
     assert r.target == pytest.approx((0.92, 0.96))

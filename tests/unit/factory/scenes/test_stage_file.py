@@ -59,7 +59,7 @@ def test_a_readable_format_is_detected_by_its_content_then_by_its_suffix(tmp_pat
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_the_error_of_another_format_names_the_supported_formats_and_a_converter(tmp_path: Path, name: str) -> None:
+def test_the_error_of_an_unsupported_format_names_the_supported_ones_and_a_converter(tmp_path: Path, name: str) -> None:
     content, kind, remedy = FOREIGN[name]
     path = tmp_path / name
     path.write_bytes(content)
@@ -72,7 +72,7 @@ def test_the_error_of_another_format_names_the_supported_formats_and_a_converter
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_importing_another_format_is_a_usage_error_and_writes_nothing(tmp_path: Path, name: str) -> None:
+def test_importing_an_unsupported_format_is_a_usage_error_and_writes_nothing(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(FOREIGN[name][0])
     with pytest.raises(UsageError, match=r"supported are \.usd, .*\.glb"):
         import_scene(tmp_path / name, "shop", tmp_path / "cache")
@@ -80,7 +80,7 @@ def test_importing_another_format_is_a_usage_error_and_writes_nothing(tmp_path: 
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_a_plan_that_names_a_file_of_another_format_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_plan_that_names_a_file_of_an_unsupported_format_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(FOREIGN[name][0])
     shop = ScenePlan(name="shop", usd=str(tmp_path / name), seen=("chair",), episodes=2)
     with pytest.raises(InvalidPlan) as caught:

@@ -19,7 +19,7 @@ SPLITS = (Split.TRAIN_ID, Split.TEST_UNSEEN_SCENE)
 
 
 def in_its_layout(parts: BundleParts) -> BundleParts:
-    """Returns the episode, moved to the layout that belongs to its split."""
+    """Returns the episode with the layout for its split as its scene."""
     layout = f"office_{SPLITS.index(parts.meta.job.split):05d}"
     job = parts.meta.job.model_copy(update={"scene": layout})
     return dataclasses.replace(parts, meta=parts.meta.model_copy(update={"job": job}))
@@ -46,7 +46,7 @@ def test_statistics_have_one_row_for_a_family_and_rows_for_splits_with_episodes(
     }
 
 
-def test_a_family_selects_the_episodes_of_all_its_layouts(root: Path) -> None:
+def test_a_filter_by_family_selects_the_episodes_of_all_its_layouts(root: Path) -> None:
     data = Dataset(root)
     assert len(data.filter(scene="office")) == 4
     assert len(data.filter(scene="office_00001")) == len(data.filter(split="test_unseen_scene")) == 2

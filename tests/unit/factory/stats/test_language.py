@@ -118,7 +118,7 @@ def test_a_random_choice_cannot_select_a_target_that_is_not_of_the_named_categor
     assert row.chance == pytest.approx((0 + 0 + 1 / 2) / 3)
 
 
-def test_an_instruction_is_ambiguous_in_the_scene_and_in_view() -> None:
+def test_instructions_that_are_ambiguous_in_the_scene_and_in_view_are_counted() -> None:
     both = (SeenObject(7, 1.0, 0.0, 50), SeenObject(8, 2.0, 0.1, 50))
     row = all_of([view(both, {7}), view(both, {7, 8}), view(both[:1], {7, 8}), view(both[1:], {7, 8, 12})])
     assert (counted(row.several_in_scene), counted(row.several_in_view)) == ((3, 4), (1, 4))

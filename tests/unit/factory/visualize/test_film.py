@@ -117,7 +117,7 @@ def test_a_long_header_of_a_contact_sheet_is_scaled_down(root: Path) -> None:
     assert np.flatnonzero((head < 128).any(axis=0)).max() < sheet.width - 4
 
 
-def test_a_video_states_the_reference_of_its_distance(episode: BundleReader) -> None:
+def test_a_video_states_to_which_point_its_distance_is_measured(episode: BundleReader) -> None:
     assert facts_of_step(episode, 11).endswith(" m from the target's centre")
 
 

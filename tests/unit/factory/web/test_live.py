@@ -42,7 +42,7 @@ def test_a_new_tab_receives_the_current_text_and_not_that_of_an_earlier_reading(
     assert asyncio.run(scenario()) == [b"data: old\n\n", b"data: new\n\n"]
 
 
-def test_the_last_event_of_a_closing_server_is_current_although_its_text_is_shared() -> None:
+def test_the_last_event_of_a_closing_server_has_the_current_text_and_not_the_cached_text() -> None:
     state = ["running"]
     shared = Recent(lambda: state[0], 1000.0)
     feed = LiveFeed(shared.get, pause_s=1000.0, forget=shared.forget)

@@ -41,7 +41,7 @@ def test_the_split_determines_the_pool_of_templates(split: Split) -> None:
     assert templates_for(split, "red") == tuple(pool)
 
 
-def test_unknown_colour_leaves_fourteen_and_ten_templates() -> None:
+def test_unknown_colour_leaves_fourteen_training_and_ten_paraphrased_templates() -> None:
     assert len(templates_for(Split.TRAIN_ID, "unknown")) == 14
     assert len(templates_for(Split.TEST_PARAPHRASE_OOD, "unknown")) == 10
 

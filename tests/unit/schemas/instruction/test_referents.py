@@ -55,7 +55,7 @@ def test_an_instruction_fits_the_objects_of_its_category_and_of_the_colour_that_
     assert referents_of(_spec(category, colour, template_id), _office()) == fitting
 
 
-def test_an_object_that_the_robot_cannot_reach_fits_every_colour_of_its_category():
+def test_an_object_that_the_robot_cannot_reach_may_have_any_colour():
     info = _office()
     blocked = Instance(id=9, prim_path="/World/chair_9", category="chair")
     info = info.model_copy(update={"instances": (*info.instances, blocked)})

@@ -81,13 +81,13 @@ def test_an_object_with_too_few_pixels_is_not_in_view():
 
 
 @pytest.mark.parametrize("view", [StartView(other_referents=(RIVAL,)), StartView(within_rad=0.5)])
-def test_the_target_must_be_in_view_if_no_other_object_may_be_meant(view):
+def test_the_target_must_be_in_view_if_other_referents_are_excluded_or_its_direction_is_limited(view):
     assert view.shows_target
     assert not StartView(same_category=(RIVAL,)).shows_target
 
 
 @pytest.mark.parametrize(("share", "finding"), [(0.4, ""), (0.6, "the target is the nearest object of its category")])
-def test_the_target_is_the_nearest_of_two_only_if_the_drawn_share_is_below_a_half(share, finding):
+def test_with_two_objects_the_target_may_be_the_nearest_only_if_the_drawn_share_is_below_a_half(share, finding):
     ids = _image(TARGET, RIVAL)
     depth = np.where(ids == TARGET, 1.0, 2.0).astype(np.float32)
     view = StartView(same_category=(RIVAL,), least_same_category=1, ranks=(share, 0.0))

@@ -26,7 +26,7 @@ def test_a_synonym_belongs_to_one_category() -> None:
     assert [name for name, count in names.items() if count > 1] == []
 
 
-def test_a_prim_that_is_named_by_a_synonym_has_its_category() -> None:
+def test_a_prim_that_is_named_by_a_synonym_has_the_category_of_the_synonym() -> None:
     rules = builtin_rules()
     wrong = {}
     for category, kind in load_taxonomy().items():

@@ -132,7 +132,7 @@ def test_light_of_another_scene_is_refused() -> None:
         apply_appearance(lit_room(), None, drawn(Appearance(light=LightRanges())))
 
 
-def test_a_change_moves_camera_and_focal_length() -> None:
+def test_a_camera_change_moves_the_camera_and_scales_its_focal_length() -> None:
     camera = recorded_camera(CameraConfig(), 64)
     changed = changed_camera(camera, CameraChange(x_m=0.01, pitch_deg=2.0, focal=0.93))
     assert changed.mount.x_m == pytest.approx(camera.mount.x_m + 0.01)

@@ -68,7 +68,7 @@ def test_adaptation_keeps_a_room_with_little_light_visible() -> None:
     assert adapted.mean() == pytest.approx(room.mean(), rel=0.1)
 
 
-def test_light_groups_are_read_back_from_their_file_and_shares_with_another_sum_are_refused() -> None:
+def test_light_groups_are_read_back_from_their_file_and_shares_that_do_not_add_up_are_refused() -> None:
     light = room_light()
     data = encode_light_groups(light)
     found = decode_light_groups(io.BytesIO(data))

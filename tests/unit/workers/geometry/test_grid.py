@@ -80,7 +80,7 @@ def test_the_check_of_many_poses_agrees_with_single_checks() -> None:
     assert many.tolist() == [grid.is_pose_free(*pose) for pose in zip(x, y, yaw, strict=True)]
 
 
-def test_a_line_through_a_gap_needs_the_body_and_its_clearance() -> None:
+def test_a_line_through_a_gap_needs_room_for_the_body_and_its_clearance() -> None:
     gap = grid_of((0.0, 0.45, 0.2, 3.0), (0.0, -3.0, 0.2, -0.45))
     assert gap.is_line_free((-2, 0), (2, 0), clearance_m=0.10)
     assert not gap.is_line_free((-2, 0), (2, 0), clearance_m=0.25)

@@ -34,7 +34,7 @@ def test_the_predicted_drive_straight_ahead_is_a_line() -> None:
     assert (np.diff(poses[:, 0]) > 0).all()
 
 
-def test_a_predicted_drive_facing_away_curves_to_the_side_of_the_turn() -> None:
+def test_a_predicted_drive_that_starts_facing_away_curves_to_the_side_to_which_it_turns() -> None:
     poses = predict_path((0.0, 0.0, 3.0), GOAL, a_job())
     assert poses[:, 0].min() < -0.3
     assert poses[:, 1].max() > 0.3

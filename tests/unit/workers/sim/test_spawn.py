@@ -132,7 +132,7 @@ def test_straight_experts_start_where_the_predicted_drive_is_free() -> None:
         assert is_drive_free(place, tried, (start.x, start.y, start.yaw))
 
 
-def test_without_a_wide_path_the_widest_one_is_chosen() -> None:
+def test_if_no_path_is_wide_enough_the_widest_one_is_chosen() -> None:
     walls = (Box((1.2, -1.0, 0.0), (8.0, -0.45, 2.0)), Box((1.2, 0.45, 0.0), (8.0, 1.0, 2.0)))
     place = prepare_scene(build_scene((*room_walls((-1.0, -1.0), (8.5, 1.0)), CRATE, *walls)))
     jobs = [crate_job(place, attempt) for attempt in range(1, 20)]
@@ -214,7 +214,7 @@ def test_starts_with_a_free_line_need_no_free_predicted_drive() -> None:
         (ExpertName.PLANNER, Screening.FORESEEN),
     ],
 )
-def test_far_starts_keep_to_their_range_along_the_floor(expert: ExpertName, screening: Screening) -> None:
+def test_far_starts_are_within_the_planned_range_of_floor_distances(expert: ExpertName, screening: Screening) -> None:
     place = divided_room()
     target = place.scene.info.targets[0]
     detours = []
@@ -236,7 +236,7 @@ def test_a_room_of_three_metres_has_no_far_start() -> None:
     assert first_start(place, crate_job(place, tier=Tier.FAR, **screened(Screening.NONE))) is None
 
 
-def test_all_blind_attempts_at_an_episode_start_at_its_distance() -> None:
+def test_all_blind_attempts_at_an_episode_start_at_the_same_distance() -> None:
     place = lane_room(8.5)
     blind, foreseen = (
         [distances(place, 3, index=index, **screened(screening)) for index in range(1, 20)]

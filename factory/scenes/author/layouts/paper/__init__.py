@@ -1,1 +1,1 @@
-"""The four layouts of the paper, which scene names without a number have at seed 0. Their packages must not change."""
+"""The four layouts of the paper; `build_scene` uses them for seed 0. Their packages must not change."""

@@ -60,7 +60,7 @@ class Room:
 
 
 def divide(rng: Generator, cells: Sequence[Cell], length: float) -> list[tuple[Cell, float, float]]:
-    """Increases the widths of the cells by random shares until they fill `length` metres."""
+    """Divides `length` metres among the cells in proportion to their widths, which are varied at random."""
     weights = [cell.width * float(rng.uniform(0.95, 1.1)) for cell in cells]
     spans: list[tuple[Cell, float, float]] = []
     x = 0.0
@@ -86,7 +86,7 @@ def build_wings(
         size: outer width (x) and depth (y), metres.
         corridor: lower and upper y of the corridor, metres.
         wings: cells with their x span, for "S" and "N".
-        styles: style by room kind, with "corridor".
+        styles: style by room kind, including the kind "corridor".
         height: height of all walls, metres.
 
     Returns:

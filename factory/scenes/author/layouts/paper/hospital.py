@@ -221,7 +221,7 @@ def _corridor(plan: FloorPlan, area: Rectangle) -> None:
 def _along(plan: FloorPlan, room: Room, names: tuple[str, ...]) -> None:
     """Places small props along the walls where they fit."""
     for name in names:
-        variant = plan.pick(2) if name == "SM_Cabinet" else plan.pick(12)  # without variant 2, a bookcase
+        variant = plan.pick(2) if name == "SM_Cabinet" else plan.pick(12)  # excludes variant 2, a bookcase
         plan.against_somewhere(plan.props.model(name, variant), room.area, "EW" + room.inner, 0.5)
 
 

@@ -51,7 +51,7 @@ def _categories(plan: Plan, **conditions: object) -> Counter[str]:
     return Counter(s.category for s in specs if all(getattr(s, key) == value for key, value in conditions.items()))
 
 
-def test_the_plan_balanced_has_equal_category_counts_over_all_scenes_and_in_every_split():
+def test_the_balanced_plan_has_equal_category_counts_over_all_scenes_and_in_every_split():
     counts = _categories(BALANCED)
     assert sorted(counts.values()) == [30] * 4 + [135] * 8
     assert sum(count for _, count in counts.most_common(3)) <= 0.35 * BALANCED.episodes
@@ -59,7 +59,7 @@ def test_the_plan_balanced_has_equal_category_counts_over_all_scenes_and_in_ever
         assert len(set(_categories(BALANCED, split=split).values())) == 1
 
 
-def test_every_scene_of_the_plan_balanced_has_each_of_its_categories_in_training():
+def test_every_scene_of_the_balanced_plan_has_each_of_its_categories_in_training():
     for scene in BALANCED.scenes:
         assert set(_categories(BALANCED, scene=scene.name, split=Split.TRAIN_ID)) == set(scene.categories.seen)
 
@@ -81,7 +81,7 @@ def test_levelling_keeps_the_exact_quota_of_every_cell():
         assert of_scene == cells(plan, scene)
 
 
-def test_balance_over_all_scenes_draws_a_shared_category_in_scenes_without_other_categories():
+def test_balance_over_all_scenes_draws_a_common_category_only_in_the_scene_without_other_categories():
     train = {Split.TRAIN_ID: 1.0}
     scenes = (
         ScenePlan(name="office", episodes=30, seen=("chair", "sofa", "table")),
@@ -92,7 +92,7 @@ def test_balance_over_all_scenes_draws_a_shared_category_in_scenes_without_other
     assert _categories(plan.model_copy(update={"balance": "categories"})) == {"chair": 40, "sofa": 10, "table": 10}
 
 
-def test_redraws_of_an_even_plan_keep_the_category_for_the_first_half_of_the_draws():
+def test_redraws_of_a_balanced_plan_keep_the_category_for_the_first_half_of_the_draws():
     plan = shrink(BALANCED, episodes=24)
     catalog = make_catalog(plan, per_category=2)
     for job in expand(plan, catalog):
@@ -102,7 +102,7 @@ def test_redraws_of_an_even_plan_keep_the_category_for_the_first_half_of_the_dra
             assert following.episode.category == job.episode.category
 
 
-def test_the_redraw_of_an_even_plan_changes_the_template_if_the_category_has_a_single_instance():
+def test_a_redraw_of_a_balanced_plan_changes_the_template_if_the_category_has_a_single_instance():
     plan = Plan(
         name="x",
         scenes=(ScenePlan(name="hospital", episodes=4),),

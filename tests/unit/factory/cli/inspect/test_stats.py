@@ -329,7 +329,7 @@ def test_command_prints_the_tables_of_another_plan_without_the_paper(own: Path, 
     assert "paper" not in done.stdout
 
 
-def test_only_the_plan_paper_and_its_parts_are_compared_by_default() -> None:
+def test_only_the_paper_plan_and_its_parts_are_compared_by_default() -> None:
     paper = BUILTIN_PLANS["paper"]
     parts = [
         paper,

@@ -26,7 +26,7 @@ def status() -> Iterator[SharedStatus]:
 
 
 def busy_when_asked(status: SharedStatus, watch: StatusWriter, calls: int) -> list[Activity]:
-    """Returns the status during each call of an episode, reset first."""
+    """Returns the activity during each call of an episode; the first call is the reset."""
     watch.begin(Activity.SIMULATING)
     found = []
     for _ in range(calls):

@@ -1,5 +1,4 @@
-"""The authored scenes: equal seeds give equal scenes, every category occurs; units, names, references, closed
-shells."""
+"""The authored scenes: reproducibility, categories, units, names, references and closed shells."""
 
 from __future__ import annotations
 
@@ -99,7 +98,7 @@ def test_every_category_occurs_at_least_four_times_in_the_layout_of_the_paper(na
 
 
 @pytest.mark.parametrize("name", PAPER_SCENES)
-def test_layouts_have_the_listed_categories_and_no_others_of_the_paper(name: str, layouts: Layouts) -> None:
+def test_layouts_have_their_built_in_categories_and_only_the_listed_others(name: str, layouts: Layouts) -> None:
     wanted = {*BUILTIN_CATEGORIES[name].seen, *BUILTIN_CATEGORIES[name].held_out}
     others: set[str] = set()
     for plan in layouts.of(name).values():

@@ -34,7 +34,8 @@ KEPT = {
     ".urdf": "names colours collision",
     ".xml": "names colours textures collision",
 }
-"""Properties of `write_room` that each format keeps; test_details.py has the textures of PLY, COLLADA, SDF and URDF."""
+"""Features of the room of `write_room` that each format keeps. Textures of PLY, COLLADA, SDF and URDF are tested in
+test_details.py."""
 
 
 def extract(path: Path) -> Extraction:

@@ -23,7 +23,7 @@ def test_a_room_is_measured_by_its_spawns() -> None:
     assert report.farthest_floor_m < 0.6
 
 
-def test_the_covered_share_falls_with_the_requested_distance() -> None:
+def test_the_covered_share_rises_with_the_requested_distance() -> None:
     shares = [report_survey(ROOM, within).share_within for within in (0.1, 0.25, 1.0)]
     assert shares == sorted(shares)
     assert shares[0] < 0.5

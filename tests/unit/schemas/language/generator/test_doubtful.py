@@ -60,19 +60,19 @@ def _same(one: Expression, two: Expression) -> bool:
 
 
 @pytest.mark.parametrize(("cover", "is_clear"), [((), True), ((("box", -5.5, 1.0),), False)])
-def test_an_object_behind_another_one_has_no_place_along_the_way(cover, is_clear):
+def test_an_object_behind_another_one_is_not_counted_along_the_way(cover, is_clear):
     scene = hall(("barrel", -4.2, 1.2), ("barrel", 6.0, 4.0), *cover)
     assert is_written(scene, "the first barrel ahead on your left", at(scene, -4.2, 1.2)) == is_clear
 
 
 @pytest.mark.parametrize(("x", "is_clear"), [(-4.2, False), (-2.5, True)])
-def test_an_object_half_behind_another_one_makes_a_place_along_the_way_doubtful(x, is_clear):
+def test_an_object_half_behind_another_one_makes_the_count_along_the_way_doubtful(x, is_clear):
     scene = hall(("chair", -4.2, 1.0), ("chair", x, 1.9))
     assert is_written(scene, "the first chair ahead on your left", at(scene, -4.2, 1.0)) == is_clear
 
 
 @pytest.mark.parametrize(("aside", "is_clear"), [(4.4, False), (-4.4, True)])
-def test_an_object_far_to_the_side_makes_a_place_along_the_way_doubtful(aside, is_clear):
+def test_an_object_far_to_the_side_makes_the_count_along_the_way_doubtful(aside, is_clear):
     scene = hall(("rack", -2.0, 1.5), ("rack", -4.6, aside))
     assert is_written(scene, "the first rack ahead on your left", at(scene, -2.0, 1.5)) == is_clear
 
@@ -122,7 +122,7 @@ def test_the_relation_in_front_of_is_borderline_for_two_things_on_one_wall(base_
 
 
 @pytest.mark.parametrize(("kind", "is_clear"), [("plant", True), ("sink", False)])
-def test_the_sizes_of_kinds_that_include_other_things_are_not_compared(kind, is_clear):
+def test_objects_of_kinds_that_may_include_another_thing_are_not_compared_by_size(kind, is_clear):
     tall = Box((-4.2, 0.8, 0.0), (-3.8, 1.2, 2.0), category=kind)
     low = Box((-4.2, -1.2, 0.0), (-3.8, -0.8, 0.8), category=kind)
     scene = hall(walls=(tall, low))
@@ -135,7 +135,7 @@ def test_a_viewer_may_use_another_word_for_a_colour(colour, word):
     assert not may_be_called("red", word) or word == "red"
 
 
-def test_a_cardboard_box_may_be_a_crate_and_a_refrigerator_a_shelf():
+def test_a_cardboard_box_may_be_taken_for_a_crate_and_a_refrigerator_for_a_shelf():
     assert "crate" in kinds().seen_in(["SM_CartonSingle_1"])[0]
     assert {"shelf", "cabinet"} <= kinds().borderline_of("refrigerator")
 
@@ -177,7 +177,7 @@ def test_a_prim_with_an_ambiguous_name_is_a_borderline_case_of_each_kind(prim, s
     assert set(kinds().seen_in([prim])[0]) == shown
 
 
-def test_with_nothing_on_top_directly_follows_the_noun():
+def test_the_relation_empty_is_written_directly_after_the_noun():
     beside = Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind="shelf", definite=False),))
     phrase = grammar("en").phrase(
         Expression(kind="table", clauses=(Clause(relation=Relation.EMPTY), beside)), "nom", {"relation": 1}

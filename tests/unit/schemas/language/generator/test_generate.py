@@ -16,7 +16,7 @@ VIEWS = views(6)
 
 
 def expressions_of(count: int) -> list[tuple[int, int, Expression]]:
-    """Returns up to `count` generated expressions for each view and target, with the numbers of both."""
+    """Returns up to `count` expressions for each view and target, as (view number, target number, expression)."""
     rng, found = np.random.default_rng(1), []
     for place, view in enumerate(VIEWS):
         for number in TARGETS:
@@ -48,9 +48,9 @@ def test_the_verifier_accepts_generated_expressions_and_no_part_can_be_dropped()
         if any(verifier.evaluate(one, VIEWS[place]).fits_only(number) for one in shorter(expression)):
             longer.append(expression)
     assert len(drawn) > 300
-    # footprints are axis-aligned rectangles here, so generator and verifier measure the same
+    # footprints are bounding rectangles here, so generator and verifier measure the same
     assert not wrong
-    assert len(longer) <= 0.01 * len(drawn)  # bounding rectangles exclude slightly less than footprints
+    assert len(longer) <= 0.01 * len(drawn)
 
 
 def test_one_changed_word_that_makes_a_sentence_false_or_ambiguous_is_rejected():
@@ -108,7 +108,7 @@ def test_held_out_patterns_are_written_only_on_request():
         assert {one.held_out for each in found for one in each} == {held_out}
 
 
-def test_features_of_weight_zero_do_not_occur_and_the_option_fit_any_gives_instructions_for_several_objects():
+def test_the_option_fit_any_gives_instructions_for_several_objects_without_features_of_weight_zero():
     without_view = LanguageSpec(features={"view": 0, "ego": 0, "ordinal": 0, "nearest": 0}, fit="any")
     composer, rng = Composer(without_view), np.random.default_rng(0)
     found = [one for number in TARGETS for one in composer.write(two_rooms(), VIEWS[1], number, False, rng)]

@@ -1,4 +1,4 @@
-"""Counting objects along one side of the way ahead, such as racks of an aisle; what is in view at the start."""
+"""Counting the objects along one side of the way ahead, such as racks of an aisle, and what is in view at the start."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_a_rack_of_a_row_is_named_by_its_place_in_every_language(code):
         assert aisle().verifier.check(text, reader(code), view, rack_at(1.0, SIDE)), text
 
 
-def test_a_drive_along_an_aisle_ends_at_a_rack_that_is_counted():
+def test_the_last_step_of_a_route_along_an_aisle_names_the_rack():
     poses = driven((-8.0, 0.0), (-2.2, 0.0))
     search = RouteSearch(
         SceneRoutes(aisle(), CAMERA), DrivenPath(poses), rack_at(-2.0, SIDE), grammar("en"), np.random.default_rng(0)
@@ -151,7 +151,7 @@ def _seen(start: tuple[float, float, float]) -> SceneView:
     return look(two_rooms().graph, start, CAMERA)
 
 
-def test_an_object_seen_through_a_doorway_is_not_certain_to_be_visible():
+def test_an_object_beyond_a_doorway_is_not_certainly_visible():
     hung = number_at(3.1, -2.9)
     assert two_rooms().graph.hangs[hung]
     assert _seen((3.1, 0.0, -np.pi / 2)).sure[hung]

@@ -117,7 +117,7 @@ def test_a_wrong_answer_or_reason_is_rejected():
     assert accepted == []
 
 
-def test_other_frames_and_foreign_words_are_rejected():
+def test_invalid_frames_and_words_outside_of_the_patterns_are_rejected():
     one = next(each for each in asked() if each.meaning.kind is QuestionKind.WHERE)
     assert fault(one.model_copy(update={"start": 0, "end": len(POSES) + 1})) == "the frames do not exist"
     assert fault(one.model_copy(update={"end": one.end + 1})) == "the question is about more than one frame"
@@ -140,7 +140,7 @@ class _Images:
         return np.full((640, 640), self._metres, np.float32)
 
 
-def test_recorded_images_that_contradict_an_answer_reject_it():
+def test_an_answer_that_recorded_images_contradict_is_rejected():
     found = [each for each in asked() if each.meaning.kind is QuestionKind.WHERE and each.meaning.metres]
     one = next(each for each in found if each.meaning.side is SeenSide.AHEAD)
     sofa, metres = number_at(*SOFA), float(one.meaning.metres)
@@ -156,7 +156,7 @@ def test_recorded_images_that_contradict_an_answer_reject_it():
     assert seen(_Images(sofa, metres), unseen) == "the image shows such an object"
 
 
-def test_the_target_of_a_false_premise_is_not_a_goal():
+def test_an_episode_with_a_false_premise_has_no_question_about_a_goal():
     writer = QuestionComposer(Composer(LanguageSpec(questions=True)))
     episode = AskedEpisode(POSES[:11], number_at(*SOFA), is_false_premise=True)
     kinds = {

@@ -79,7 +79,7 @@ def test_the_spans_of_a_verified_route_cover_the_path(code, corners, target):
         assert fault(route, poses, target) == ""
 
 
-def test_a_turn_around_in_a_doorway_is_described_in_two_steps():
+def test_turning_around_in_a_doorway_is_described_in_two_steps():
     poses = driven((-2.0, -0.3), (0.8, -0.3), (0.8, -0.9), (0.3, -0.9))
     path = DrivenPath(poses)
     search = RouteSearch(place(), path, number_at(1.2, -2.8), grammar("en"), np.random.default_rng(0))
@@ -114,7 +114,7 @@ def test_a_changed_word_that_makes_a_route_false_is_rejected(before, after):
     pytest.fail(f"no route has {before!r}")
 
 
-def test_a_route_is_false_for_the_mirrored_turn_another_target_and_shifted_spans():
+def test_a_route_is_rejected_for_the_mirrored_turn_another_target_and_shifted_spans():
     poses = driven(*TO_SOFA)
     (route,) = written(poses, (3.5, 2.5))
     assert fault(route, driven((-4.5, -0.3), (3.2, -0.3), (3.2, -2.0)), (3.5, 2.5))
@@ -150,7 +150,7 @@ def test_every_pattern_of_a_step_is_read_back_with_its_meaning(code):
 
 
 @pytest.mark.parametrize("code", LANGUAGES)
-def test_each_register_has_patterns_of_routes_for_both_kinds_of_splits(code):
+def test_each_register_has_training_and_held_out_patterns_of_routes(code):
     words = route_words(code)
     both = {(frame.register, frame.held_out) for frame in words.frames}
     assert both == {(register, held_out) for register in LanguageSpec().registers for held_out in (False, True)}

@@ -61,7 +61,7 @@ def test_a_sentence_that_does_not_fit_only_the_target_is_rejected_with_the_reaso
     assert check(text, place) == fault
 
 
-def test_an_indefinite_sentence_fits_every_object_of_its_set():
+def test_an_indefinite_sentence_fits_every_object_that_it_describes():
     assert [check("Go to a red chair.", place) for place in (RED_NORTH, RED_EAST, (4.0, -1.5))] == ["", "", ""]
     assert check("Go to a red chair.", BLUE_WEST) == "it does not fit the target"
 
