@@ -48,7 +48,7 @@ _RECHECK_S = 1.0
 _FIRST_TABLES_S = 1.0
 """Pause between two checks whether a new run has its first episode and therefore gets its first tables, seconds."""
 _DISCONNECT_S = 3.0
-"""Minimum time for which the end of a run is announced, seconds: a worker may be reconnecting."""
+"""Minimum time for which the end of a run is announced, because a worker may be reconnecting, seconds."""
 
 log = structlog.get_logger(__name__)
 

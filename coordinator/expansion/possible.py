@@ -106,8 +106,8 @@ def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> s
 def _ambiguous_message(cells: SceneCells, ambiguous: Set[str]) -> str:
     if cells.plan.language is not None:
         return (
-            f"language needs {cells.plan.language.least_others} other objects of the target's category, and "
-            f"{', '.join(sorted(ambiguous))} has fewer; categories with enough objects: "
+            f"[language] requires {cells.plan.language.least_others} other objects of the target's category; "
+            f"categories with fewer: {', '.join(sorted(ambiguous))}; categories with enough objects: "
             f"{', '.join(sorted(cells.present)) or 'none'}; remove the others from seen and held_out, or reduce "
             "language.same_category and language.in_view"
         )

@@ -1,4 +1,5 @@
-"""Jobs that build the packages of layouts. Each seed that is tried has a row in `jobs`; its draw is the seed's number.
+"""Jobs that build the packages of layouts. Each seed that is tried has a row in `jobs`, whose
+draw is the position of the seed in the sequence of seeds of the layout.
 
 The module records no outcome; `outcomes` inserts the episodes of a layout when its package is recorded.
 """

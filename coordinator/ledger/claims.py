@@ -182,7 +182,7 @@ def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> 
 def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
     """Restarts every lease after a restart of the coordinator, or after the clock was set.
 
-    The function also ends pauses of jobs that would last more than `_LONGEST_REST_S`, as they can after the clock was
+    The function also ends pauses of jobs that would last longer than `_LONGEST_REST_S`, which happens if the clock was
     set back.
 
     Returns:

@@ -53,7 +53,7 @@ class SurfaceChange(Model):
 
 
 class CameraChange(Model):
-    """Change of the cameras."""
+    """Change of the cameras' poses, lenses and exposure that an appearance makes."""
 
     x_m: Finite = 0.0
     """Displacement along x of base_link, metres."""

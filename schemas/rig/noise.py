@@ -131,8 +131,8 @@ class LidarNoise(Model):
     range_step_m: Annotated[float, Field(ge=0, le=1)] = 0.002
     """Resolution of the range, metres (VLP-16 User Manual 63-9243, Sec. 9.3); 0 does not round."""
     matt_range_m: Positive | None = 100.0
-    """Longest range of a matt surface that faces the lidar, metres (the same manual); it decreases with the square
-    root of the cosine of the angle of incidence. Null means no such limit."""
+    """Longest range at which a matt surface that faces the lidar is measured, metres (the same manual). At another
+    angle of incidence, it is multiplied by the square root of the cosine of the angle. Null means no such limit."""
     dropout: Fraction = 0.0
     """Share of the rays that give no measurement."""
     sweep_s: Annotated[float, Field(ge=0, le=1)] = 0.0

@@ -116,8 +116,8 @@ def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
 def children_of(pid: int) -> set[int]:
     """Returns the child processes of a process, except its fork helper.
 
-    The helper is the oldest child with the helper's name. Another child has this name for a moment, while it forks a
-    helper for itself.
+    The helper is the oldest child with the helper's name. Another child may have this name for a moment, while it
+    forks its own helper.
     """
     found, helpers = set(), []
     for status in Path("/proc").glob("[0-9]*/stat"):

@@ -72,7 +72,8 @@ def foreground_window(task: TaskConfig) -> Window:
 def is_obstacle_near(crop: NDArray[np.float32], task: TaskConfig) -> bool:
     """Returns whether the 5th-percentile depth of the foreground crop is below the limit (paper Sec. III-F).
 
-    The percentile is below the limit if more than 5 % of the valid pixels are, so counting replaces sorting.
+    The percentile is below the limit if more than 5 % of the valid pixels are below it, so pixels are counted and not
+    sorted.
 
     Args:
         crop: (H, W) depth within `foreground_window`, metres, 0 for invalid pixels.

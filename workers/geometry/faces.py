@@ -150,7 +150,8 @@ def _sharpest(rays: Floats) -> float:
 
 
 def _finest(plane: Floats, sides: NDArray[np.int8]) -> float:
-    """Returns a focal length, pixels, at which each pixel is a face pixel or more from its right or lower neighbour."""
+    """Returns a focal length, pixels, at which each image pixel is at least one face pixel away from its right or its
+    lower neighbour."""
     across = np.linalg.norm(np.diff(plane, axis=1), axis=-1)[:-1]
     down = np.linalg.norm(np.diff(plane, axis=0), axis=-1)[:, :-1]
     corner = sides[:-1, :-1]

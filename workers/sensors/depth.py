@@ -25,8 +25,8 @@ of 4, because `NoiseKey.stream` requires this of the size of each part."""
 _LEAST_PX = np.float32(1e-6)
 """Positive disparity that replaces disparities of 0 and less, which give no measurement, pixels."""
 _BLOCK_PX, _HOLE_BLOCKS = 4, 4
-"""Side of the square blocks that holes consist of, pixels. The second value is the distance, in blocks, between the
-random values from which the values of all blocks are interpolated."""
+"""`_BLOCK_PX` is the side of the square blocks that holes consist of, pixels. `_HOLE_BLOCKS` is the distance, in
+blocks, between the random values from which the values of all blocks are interpolated."""
 
 
 def noisy_depth(
@@ -133,7 +133,7 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     """Returns the pixels (H, W) that the second camera does not see, or that the projector does not illuminate.
 
     A pixel in column x has the column u = x - d in a view from the right. It is hidden if u is outside of the image,
-    or if a pixel further to the right, which is nearer, has the same column or one further to the left (D. Scharstein
+    or if u of a pixel further to the right is the same or smaller, because that pixel is nearer (D. Scharstein
     and R. Szeliski, "A taxonomy and evaluation of dense two-frame stereo correspondence algorithms", IJCV 47, 2002).
 
     Args:

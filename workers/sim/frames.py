@@ -1,6 +1,7 @@
 """Renders frames of a driven trajectory into a bundle: all for a frames recording, samples for a states recording.
 
-Does not drive. A frame is a function of scene, camera and pose, so it may be rendered at any time after its step.
+Does not simulate the drive. A frame is a function of scene, camera and pose, so it may be rendered at any time after
+its step.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Records the measurements of a rig along a driven trajectory, sensor by sensor, in the bundle of an episode.
 
-Does not drive. A measurement is a function of scene, sensor, trajectory and seed.
+Does not simulate the drive. A measurement is a function of scene, sensor, trajectory and seed.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def add_measurements(
         job: job, with rig, control rate and seed.
         arrays: arrays of the episode.
         on_measurement: called after each measurement.
-        change: change of the cameras.
+        change: change of the cameras' poses, lenses and exposure by the appearance; `None` for unchanged cameras.
 
     Raises:
         UsageError: the renderer has no normals, which a camera needs, or embreex is not installed, which a lidar needs.
@@ -77,7 +77,7 @@ def add_measurements(
             if isinstance(sensor, Imu | WheelOdometry):
                 found = measure(sensor, track)
             else:
-                assert t is not None, "only a sensor of motion has no step"
+                assert t is not None, "a measurement of a camera or lidar needs a step"
                 found = observe(changed_sensor(sensor, change), t, track, scene)
             try:
                 writer.add_measurement(sensor, t, arrays_in(found))
@@ -117,7 +117,9 @@ def _plain_bytes(sensor: Sensor) -> int:
 
 def _stored_bytes(sensor: Sensor, t: int, track: Trajectory, scene: Surroundings, change: CameraChange | None) -> int:
     """Returns the size at which a measurement of a camera or lidar at step t is stored in the bundle, bytes."""
-    assert not isinstance(sensor, Imu | WheelOdometry), "sensors of motion store a few bytes for each step"
+    assert not isinstance(sensor, Imu | WheelOdometry), (
+        "motion sensors have no samples: they store only a few bytes for each step"
+    )
     found, specs = arrays_in(observe(changed_sensor(sensor, change), t, track, scene)), arrays_of(sensor)
     return sum(len(encode_array(specs[name], array)) for name, array in found.items())
 

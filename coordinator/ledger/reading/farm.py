@@ -89,8 +89,7 @@ class FarmReading:
     """State of a farm, in addition to its progress."""
 
     cells: dict[tuple[str, str, str], dict[str, int]]
-    """Number of current draws by (scene, tier, split), and for each such cell by state. The numbers of a cell add up to
-    its quota."""
+    """(scene, tier, split) -> state -> number of current draws. The numbers of a cell add up to its quota."""
     running: dict[str, tuple[RunningJob, ...]]
     """Held jobs by the session id of their worker."""
     versions: dict[str, str]

@@ -95,7 +95,7 @@ def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -
 
 
 def with_actions(task: EvalTask, root: Path) -> EvalTask:
-    """Returns the task with the actions of the archived episode that its request names, if it names one.
+    """Returns the task; if its request names an archived episode, adds the actions of this episode.
 
     Raises:
         ArchiveCorrupt: the dataset does not have the episode.

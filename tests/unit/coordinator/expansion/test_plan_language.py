@@ -64,7 +64,7 @@ def test_a_plan_without_a_language_block_has_its_former_digest():
 
 def test_only_categories_with_enough_objects_are_drawn_and_the_error_lists_these_categories():
     (line,) = find_impossible(_plan(("chair", "plant"), same_category=1), {"office": ENTRY})
-    assert "plant has fewer; categories with enough objects: chair" in line
+    assert "categories with fewer: plant; categories with enough objects: chair" in line
     jobs = expand(_plan(same_category=2), {"office": ENTRY})
     assert {job.episode.template_id for job in jobs} == {FROM_START}
 
