@@ -65,7 +65,9 @@ def choice_findings(meta: EpisodeMeta) -> list[str]:
         )
     stray = sorted(set(choices).difference(view.choice.among))
     if stray or list(choices) != sorted(set(choices)):
-        found.append(f"choices {list(choices)} are not distinct ids of {list(view.choice.among)} in ascending order")
+        found.append(
+            f"choices {list(choices)}: the job permits distinct ids of {list(view.choice.among)} in ascending order"
+        )
     if choices and meta.target_instance_id != view.choice.of(choices):
         found.append(f"the target is object {meta.target_instance_id}, the job selects {view.choice.of(choices)}")
     return found

@@ -16,7 +16,7 @@ from factory.cli.common.options import count_option, json_option, number_option,
 @number_option("SECONDS", "--seconds", 60.0, "Time for which the tabs are open, seconds.", least=1.0)
 @json_option
 def serve(**options: Any) -> None:
-    """Measure the web page of a dataset, whose run may be in progress.
+    """Measure the web page of a dataset, or of a run in progress.
 
     Starts `factory serve` and measures its pages, frames and playback, and its CPU time with and without open tabs.
     """

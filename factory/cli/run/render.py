@@ -23,7 +23,7 @@ from factory.cli.common.options import (
 @out_option
 @rig_option(
     "Sensors to store: a built-in rig or a TOML file; `paper` is the recorded camera, which is always stored. With "
-    "several rigs, each rig has a dataset OUT/NAME. Default: the plan's rig.",
+    "several rigs, the dataset of each rig is OUT/NAME. Default: the plan's rig.",
     multiple=True,
 )
 @appearance_option("Default: the plan's.")
