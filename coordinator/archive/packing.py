@@ -189,7 +189,7 @@ class PackingArchive(ABC):
     def _write_shard(self, episodes: Iterable[tuple[int, bytes]], first: int, last: int) -> ShardDirectory:
         """Publishes episodes of one range of numbers as a shard, and returns the ZIP directory of the shard.
 
-        Publishes nothing if there are no episodes.
+        Without episodes, nothing is published.
         """
         part = self._staging.part(f"shard_{first:06d}")
         try:

@@ -209,7 +209,7 @@ def _varies_light(appearance: Appearance | None) -> bool:
 
 
 def with_shards(card: str, shards: int) -> str:
-    """Returns the card with the current number of shards. If there are no shards, the line is removed."""
+    """Returns the card with the current number of shards. Without shards, the line is removed."""
     lines = [line for line in card.splitlines(keepends=True) if not line.startswith(_SHARDS)]
     at = next((number for number, line in enumerate(lines) if line.startswith("- `data/")), len(lines))
     said = f"{_SHARDS}ZIP files of episodes, {shards} in total; `shards.parquet` lists the place of each episode.\n"

@@ -113,13 +113,17 @@ def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(damaged_run
     [
         ("UPDATE jobs SET sha256 = NULL WHERE idx = 1", r"an announced job has no bundle \(episode 1\)"),
         ("UPDATE events SET job_id = 999 WHERE id = 1", r"an event belongs to a job that does not exist \(job 999\)"),
+        (
+            "UPDATE jobs SET not_before = 4e9",
+            r"pause of episode \d+ ends \d{9,} s after its last change, but the longest pause is 3600 s",
+        ),
     ],
 )
-def test_damage_is_reported_with_the_number_of_the_episode_or_job(damaged_run, change, said):
+def test_damage_is_reported_with_the_number_of_the_episode_or_job(whole, damaged_run, change, said):
     with closing(sqlite3.connect(damaged_run / "ledger.db")) as raw:
         raw.execute(change)
         raw.commit()
-    assert re.search(said, ledger_trouble(f"sqlite:///{damaged_run / 'ledger.db'}"))
+    assert re.search(said, ledger_trouble(f"sqlite:///{damaged_run / 'ledger.db'}", whole.catalog))
 
 
 def _repair_input(whole: ArchivedRun, damaged_run: Path):  # type: ignore[no-untyped-def]

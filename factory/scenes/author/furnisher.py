@@ -23,7 +23,7 @@ with equal probability."""
 _FEW = {"SM_PictureFrame": 5, "SM_Tapestry": 1}
 """Number of variants of a model that one building uses; it is small, because each variant has its own texture."""
 _JOINT_M = 0.8
-"""Nothing is mounted within this distance of the joint of two parts of a hall, where there is no wall, metres."""
+"""Nothing is mounted within this distance of the joint of two parts of a hall, because a joint has no wall, metres."""
 _DOOR_M = 2.0
 """Nothing is mounted on a wall within this distance of the centre of a door, metres."""
 

@@ -126,7 +126,7 @@ def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
 
 
 def _split(area: Rectangle, side: str | None, share: float) -> tuple[Rectangle, Rectangle | None]:
-    """Returns the floor for racks and the floor before the gates, which is `None` if it is small or there are no gates.
+    """Returns the floor for racks and the floor before the gates, which is `None` if it is small or `side` is `None`.
 
     Args:
         area: floor to split.
