@@ -11,10 +11,10 @@ from datetime import datetime
 from pathlib import Path
 
 from coordinator.archive.staging import Staging, is_held
+from coordinator.ledger.administration import execute
 from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.ledger.reading.reader import open_ledger, require_sound, translate_damage
-from coordinator.ledger.requests import execute
 from coordinator.protocol.ask import OPERATOR, ask_admin
 from schemas.errors import TransientError, UsageError
 from schemas.protocol.address_file import read_address, remove_address

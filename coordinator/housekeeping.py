@@ -19,8 +19,7 @@ from coordinator.clock import ClockWatch
 from coordinator.context import RunContext
 from coordinator.ledger import claims
 from coordinator.ledger.claims import held_too_long, lease_of
-from coordinator.ledger.host_memory import write_memory
-from coordinator.ledger.hosts import troubled
+from coordinator.ledger.hosts import troubled, write_memory
 from coordinator.ledger.opening import note_sandbox
 from coordinator.ledger.transitions import JobRow
 from coordinator.meters import Meter

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from coordinator.clock import seconds_since_boot, utc_now
-from coordinator.expansion.evaluation import EvalJobs
+from coordinator.expansion.draw import EvalJobs
 from coordinator.protocol.protocol import FindStates, simulate_all
 from coordinator.protocol.tls import Guard
 from coordinator.settings import CoordinatorSettings

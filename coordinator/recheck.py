@@ -13,10 +13,10 @@ from sqlalchemy.engine import Connection
 
 from coordinator.context import RunContext
 from coordinator.expansion.draw import to_job
+from coordinator.ledger.archived import note_checked, suspects
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.repair import current_job
-from coordinator.ledger.unchecked import note_checked, suspects
 from schemas.errors import InvalidBundle
 from schemas.exchangeable import candidates_of
 from schemas.job import Job, episode_id

@@ -18,7 +18,7 @@ import structlog
 from coordinator.context import RunContext, open_context
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.housekeeping import FreeSpaceMonitor, Housekeeping
-from coordinator.ledger.requests import execute
+from coordinator.ledger.administration import execute
 from coordinator.options import CoordinatorOptions
 from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.dispatch import Dispatch

@@ -1,21 +1,23 @@
-"""Models of an episode's metadata (`meta.json`): the paper's sidecar fields, and provenance. Reads no file."""
+"""Models of an episode's metadata (`meta.json`): the paper's sidecar fields, provenance, software and machine.
+
+Reads no file. The software and the machine are recorded outside of the content digest.
+"""
 
 from __future__ import annotations
 
 from datetime import datetime
 from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field, StringConstraints, ValidationError
 from pydantic_core import from_json
 
 from schemas.appearance import DrawnAppearance
 from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Ordinal, PrimPath
 from schemas.errors import InvalidBundle
-from schemas.fingerprint import Fingerprint
 from schemas.instruction.start_view import InstanceIds
 from schemas.job import Job
 from schemas.language.instruction import Instruction
-from schemas.language.question.model import Question
+from schemas.language.question.meaning import Question
 from schemas.plan import canonical_json
 from schemas.scene import MAX_INSTANCES, Footprint, Instance
 from schemas.terms import EndReason
@@ -216,3 +218,17 @@ def _newer_format(text: bytes) -> int | None:
         return None
     version = found.get("format") if isinstance(found, dict) else None
     return version if isinstance(version, int) and version > BUNDLE_FORMAT else None
+
+
+_Word = Annotated[str, StringConstraints(max_length=200)]
+
+
+class Fingerprint(Model):
+    """Versions and machine properties that may affect a frame's bytes (docs/design/reproducibility.md#machines)."""
+
+    software: Annotated[dict[_Word, _Word], Field(max_length=64)]
+    """Versions, by package name, of all software that affects the recorded bytes, this product included."""
+    renderer: Line
+    """Description that the renderer gives of itself, e.g. the GL renderer string."""
+    cpu: Line
+    """CPU model name and machine type."""

@@ -20,7 +20,7 @@ from schemas.config import (
 )
 from schemas.episode_spec import EpisodeSpec
 from schemas.instruction.start_view import StartView, TargetChoice
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.plan import MAX_EPISODES
 from schemas.scene import Target
 from schemas.terms import ExpertName, Recording

@@ -21,8 +21,8 @@ from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.scene import Target
 from schemas.support.approach import approach, ring, target_distances
+from schemas.support.geometry import footprint_distances, gaps_to, yaw_of
 from schemas.support.numpy_types import Floats
-from schemas.support.planar import footprint_distances, gaps_to, yaw_of
 from schemas.terms import SuccessMeasure
 
 _OUTLINE_POINTS = 97

@@ -31,7 +31,7 @@ from schemas.config import (
     SpawnConfig,
     TaskConfig,
 )
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.layouts import layout_mistakes, layouts_of
 from schemas.rig.arrays import rig_faults
 from schemas.scene_plan import MAX_EPISODES as MAX_EPISODES

@@ -1,8 +1,17 @@
-"""Model of the entry of a plan for one scene, or for the layouts of a family. Does not check the content of scenes."""
+"""Entry of a plan for one scene, or for the layouts of a family; and the taxonomy of object categories.
+
+The taxonomy (superclass and synonyms of each category) is read from `taxonomy.toml` once. Does not check the content
+of scenes.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
     AliasChoices,
@@ -15,7 +24,6 @@ from pydantic import (
 )
 
 from schemas.base import Fraction, Model, Name
-from schemas.instruction.taxonomy import category_of
 from schemas.terms import (
     BUILTIN_CATEGORIES,
     CATEGORIES,
@@ -162,3 +170,37 @@ class ScenePlan(Model):
         if not seen:
             raise ValueError("a scene with `file` needs `seen = [...]`, the categories to train on")
         return self
+
+
+_FILE = Path(__file__).with_name("taxonomy.toml")
+
+
+class CategoryKind(NamedTuple):
+    """Place of a category in the taxonomy."""
+
+    superclass: str
+    """Name of the superclass, such as `seat` for a chair."""
+    synonyms: tuple[str, ...]
+    """Other English names of the category, in singular."""
+
+
+@cache
+def load_taxonomy() -> Mapping[str, CategoryKind]:
+    """Returns the place of every category by its name."""
+    table = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+    return MappingProxyType(
+        {
+            category: CategoryKind(superclass, tuple(synonyms))
+            for superclass, categories in table.items()
+            for category, synonyms in categories.items()
+        }
+    )
+
+
+def category_of(name: str) -> str | None:
+    """Returns the category with a name or synonym, in any case, with spaces or underscores; `None` for other names."""
+    said = name.lower().replace("_", " ")
+    for category, kind in load_taxonomy().items():
+        if said == category.replace("_", " ") or said in kind.synonyms:
+            return category
+    return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, SpawnConfig, TaskConfig
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.plan import PAPER_SPLITS, Budget, Plan, ScenePlan
 from schemas.terms import PAPER_SCENES, ExpertName, Screening, Split, SuccessMeasure, Tier
 

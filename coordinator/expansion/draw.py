@@ -1,37 +1,52 @@
 """Expands a plan into jobs: exact quotas of scene x tier x split, then category, target and template per episode.
 
-The result depends on the plan and the compiled scenes only, not on the machine or the order of the work.
+The result depends on the plan and the compiled scenes only, not on the machine or the order of the work. For an
+evaluation, the jobs are its tasks, which this module does not interpret.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from coordinator.expansion.balance.layout_categories import layout_categories
-from coordinator.expansion.balance.level import category_quotas
+from coordinator.expansion.balance import category_quotas, layout_categories
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cell
 from coordinator.expansion.possible import raise_if_impossible
 from coordinator.expansion.scene_cells import SceneCells, each_scene, scene_cells
 from schemas.config import DemonstrationConfig
 from schemas.episode_spec import EpisodeSpec
-from schemas.instruction.language import instruction, says_in_front
 from schemas.instruction.referents import referents, referents_of
 from schemas.instruction.start_view import IN_FRONT_RAD, StartView, TargetChoice
+from schemas.instruction.templates import instruction, says_in_front
 from schemas.job import Job
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan
+from schemas.protocol.messages import EvalPayload
 from schemas.scene import SceneInfo
 from schemas.support.apportion import least_used
 from schemas.terms import Recording, Split, Tier
 from schemas.view import ViewSettings
+
+
+@dataclass(frozen=True)
+class EvalJobs:
+    """Jobs of an evaluation run; its plan defines the scenes and the settings only."""
+
+    planned: tuple[PlannedJob, ...]
+    """Jobs of a new ledger."""
+    find: Callable[[int], EvalPayload]
+    """Function that returns the payload of a job by its index."""
+    files: Mapping[str, Path] = field(default_factory=dict)
+    """Attached files by SHA-256."""
+
 
 Option = TypeVar("Option")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence, Set
 
-from coordinator.expansion.balance.layout_categories import layout_categories
+from coordinator.expansion.balance import layout_categories
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene
 from schemas.errors import InvalidPlan

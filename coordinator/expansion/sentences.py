@@ -11,10 +11,9 @@ import numpy as np
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.scene_cells import SceneCells, each_scene
-from schemas.language.compose import composer_of
+from schemas.language.compose import Probe, composer_of, explain_impossible
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
-from schemas.language.possible import Probe, explain_impossible
 from schemas.language.scene import SceneLanguage
 from schemas.plan import Plan
 from schemas.scene import CompiledScene, Target, read_geometry

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from schemas.instruction.referents import referents, referents_of
 from schemas.plan import Plan
 

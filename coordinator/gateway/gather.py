@@ -18,9 +18,9 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
+from coordinator.ledger.archived import gateways_by_episode, record_at_core
 from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.database.engine import open_writer
-from coordinator.ledger.gateway_episodes import gateways_by_episode, record_at_core
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.reader import require_sound
 from coordinator.ledger.tables import episodes

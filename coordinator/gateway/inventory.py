@@ -15,7 +15,7 @@ from pathlib import Path
 import structlog
 
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.gateway.core_link import CoreLink
+from coordinator.gateway.core import CoreLink
 from coordinator.protocol.relay import MAX_FILES, MAX_LOST, Archived, Inventory, InventoryReply, UnrecordedFile
 from coordinator.transfer.contract import EpisodeValidator
 from schemas.bundle import BundleReader

@@ -15,13 +15,12 @@ from pathlib import Path
 import structlog
 
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.gateway.core_link import CoreLink
+from coordinator.gateway.core import CoreLink, RemoteLedgerClient, has_owner, require_owner, write_owner
 from coordinator.gateway.inventory import reconcile_directory
-from coordinator.gateway.remote_ledger import RemoteLedgerClient, has_owner, require_owner, write_owner
 from coordinator.meters import Meters
 from coordinator.periodic_tasks import PeriodicTasks
+from coordinator.protocol.bundles import Pull
 from coordinator.protocol.node import ZenohNode
-from coordinator.protocol.pulls import Pull
 from coordinator.protocol.relay import MAX_ORDERS, Join, JoinReply, Orders, OrdersRequest, RelayOrder
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config

@@ -1,4 +1,4 @@
-"""Records the workers of a run, and failures of hosts: strikes, pauses and bars. Does not change jobs.
+"""Records the workers of a run, their memory, and failures of hosts: strikes, pauses and bars. Does not change jobs.
 
 A host with a strike gets one job at a time; each episode that it delivers halves its strikes. A failure is attributed
 to the job only if the job failed on `budget.crashes` hosts, on all available hosts (at least two), or for a long time
@@ -7,22 +7,47 @@ on the only host. Until then it is attributed to the host.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import Row, bindparam, delete, func, insert, inspect, or_, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.database.prepared import PreparedStatement
+from coordinator.ledger.opening import write_info
 from coordinator.ledger.states import JobState
-from coordinator.ledger.tables import attempts, hosts, jobs, workers
+from coordinator.ledger.tables import attempts, hosts, info, jobs, workers
 from coordinator.ledger.transitions import JobRow, is_in
 from schemas.protocol.administration import AdminReply
 from schemas.protocol.keys import host_of
-from schemas.protocol.messages import Hello
+from schemas.protocol.messages import Hello, HostMemory
 from schemas.protocol.status import HostStatus
 from schemas.terms import FailReason
+
+_KEY = "memory"
+_BY_HOST = TypeAdapter(dict[str, HostMemory])
+
+
+def write_memory(connection: Connection, memory: Mapping[str, HostMemory]) -> None:
+    """Replaces the memory of all hosts.
+
+    Args:
+        connection: connection with an open transaction.
+        memory: memory by name of the host.
+    """
+    write_info(connection, {_KEY: _BY_HOST.dump_json(dict(memory)).decode()})
+
+
+def read_memory(connection: Connection) -> dict[str, HostMemory]:
+    """Returns the memory by name of the host; empty before the first heartbeat."""
+    text = connection.execute(select(info.c.value).where(info.c.key == _KEY)).scalar()
+    try:
+        return _BY_HOST.validate_json(text) if text else {}
+    except ValidationError:
+        return {}
+
 
 STRIKES = 8
 """Number of strikes with which a host is barred. The pauses between them add up to at least two minutes."""

@@ -7,8 +7,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import datetime
 
 from coordinator.ledger import claims
-from coordinator.ledger.database.closed_digest import write_closed_digest
-from coordinator.ledger.database.engine import open_reader, open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer, write_closed_digest
 from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.reading.reader import Connection, translate_damage

@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 
-from coordinator.protocol.pulls import Pull
+from coordinator.protocol.bundles import Pull
 from schemas.protocol.keys import host_of
 
 _OF_ONE_HOST = 4

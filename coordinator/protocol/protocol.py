@@ -17,14 +17,13 @@ from sqlalchemy import Row
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import redraw, to_job
-from coordinator.expansion.evaluation import EvalJobs
-from coordinator.ledger import claims, hosts, outcomes, requests
+from coordinator.expansion.draw import EvalJobs, redraw, to_job
+from coordinator.ledger import administration, claims, hosts, outcomes
 from coordinator.ledger.builds import number_of_layout, order_of
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.tables import BUILD
-from coordinator.protocol.pulls import BuildJob, Pull
+from coordinator.protocol.bundles import BuildJob, Pull
 from schemas.base import Model
 from schemas.exchangeable import candidates_of
 from schemas.job import Job
@@ -222,7 +221,7 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
 
 
 def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
-    may_start = terms.has_room() and not terms.is_draining() and not requests.is_paused(connection)
+    may_start = terms.has_room() and not terms.is_draining() and not administration.is_paused(connection)
     pause_s = hosts.pause_of(connection, host, now)
     may_start = may_start and pause_s == 0
     row = claims.claim(
@@ -272,7 +271,7 @@ def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: date
 
 
 def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
-    return ProtocolAnswer(requests.execute(connection, request, now))
+    return ProtocolAnswer(administration.execute(connection, request, now))
 
 
 def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001

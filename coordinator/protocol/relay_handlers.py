@@ -16,14 +16,14 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.difference import ListedFile, describe_difference
 from coordinator.expansion.draw import to_job
-from coordinator.ledger import claims, gateway_episodes, outcomes
+from coordinator.ledger import archived, claims, outcomes
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import jobs
 from coordinator.ledger.transitions import JobRow
+from coordinator.protocol.bundles import Pull
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, fail_attempt
-from coordinator.protocol.pulls import Pull
 from coordinator.protocol.relay import (
     MAX_LOST,
     Archived,
@@ -97,14 +97,14 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
     wrong = _contradictions(row, summary, terms)
     if wrong:
         return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
-    if gateway_episodes.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
+    if archived.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
         return Ack(accepted=True)  # the gateway repeats a request whose reply was lost
     if told.lease is not None:
         accepted = outcomes.archive(connection, told.lease, summary, now)
     else:
         accepted = _adopt(connection, summary, terms, now)
     if accepted:
-        gateway_episodes.record_at_gateway(connection, summary.index, gateway)
+        archived.record_at_gateway(connection, summary.index, gateway)
     return Ack(accepted=accepted)
 
 
@@ -148,7 +148,7 @@ def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, 
 
 
 def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
-    if told.is_new and (kept := gateway_episodes.count_by_gateway(connection).get(gateway)):
+    if told.is_new and (kept := archived.count_by_gateway(connection).get(gateway)):
         return Refusal(
             error=f"the ledger has {kept} episodes at gateway {gateway}, but the gateway's directory is new: "
             "give the --out of its previous start, or another --name; lost episodes are generated again after "
@@ -156,7 +156,7 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
         )
     files = {index: ListedFile(size) for index, size in told.files if told.first <= index <= told.last}
     owned, wrong = set(), {}
-    for index, record in gateway_episodes.records_of_gateway(connection, gateway, told.first, told.last):
+    for index, record in archived.records_of_gateway(connection, gateway, told.first, told.last):
         owned.add(index)
         if why := describe_difference(files.get(index), record):
             wrong[index] = why

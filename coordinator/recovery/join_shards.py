@@ -24,8 +24,7 @@ from coordinator.ledger.repair import record_failures, record_whole
 from coordinator.ledger.tables import episodes
 from coordinator.ledger.unfinished_jobs import end_unfinished_jobs
 from coordinator.packing import pack_settled
-from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
-from coordinator.recovery.table_records import failures_of, validated_files
+from coordinator.recovery.survey import PlannedDraws, StrayClassifier, failures_of, validated_files
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.checkpoint import LedgerFailures, write_checkpoint
 from coordinator.tables.split_tables import write_split_tables

@@ -21,17 +21,15 @@ from coordinator.archive.contract import Archive
 from coordinator.archive.difference import GONE, ArchiveDifference, ListedFile, diff_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import to_job
+from coordinator.ledger.archived import record_at_core, recorded_files
 from coordinator.ledger.claims import grant_grace
-from coordinator.ledger.database.closed_digest import is_unchanged
-from coordinator.ledger.database.engine import is_server, shown_url, sqlite_files
-from coordinator.ledger.gateway_episodes import record_at_core, recorded_files
+from coordinator.ledger.database.engine import is_server, is_unchanged, shown_url, sqlite_files
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.protocol.protocol import Terms
-from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
-from coordinator.recovery.table_records import restore_failures, validated_files
+from coordinator.recovery.survey import ForeignEpisode, PlannedDraws, StrayClassifier, restore_failures, validated_files
 from coordinator.transfer.contract import BundleValidator, EpisodeValidator
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError

@@ -1,7 +1,7 @@
 """Repairs a dataset without a running coordinator: adopts, quarantines and requeues episodes, rebuilds the ledger.
 
 The module does not delete files that could be episodes or ledgers: it moves them to `quarantine/` and writes the reason
-beside them.
+beside them. `RepairReport` describes what was done.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 from pathlib import Path
 
 from sqlalchemy import Engine
@@ -27,14 +28,12 @@ from coordinator.ledger.reading.records import read_content_digests
 from coordinator.ledger.repair import record_whole
 from coordinator.packing import pack_settled
 from coordinator.recovery.reconcile import quarantine_ledger
-from coordinator.recovery.report import Action, RepairKind, RepairReport
-from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
-from coordinator.recovery.table_records import restore_failures
+from coordinator.recovery.survey import ProgressCallback, Survey, restore_failures, survey_archive
 from coordinator.tables.checkpoint import count_failures, write_checkpoint
-from coordinator.tables.split_faults import find_faults
-from coordinator.tables.split_tables import write_split_tables
+from coordinator.tables.split_tables import find_faults, write_split_tables
 from coordinator.tables.table_reader import read_column
 from coordinator.transfer.contract import EpisodeValidator
+from schemas.base import Model
 from schemas.dataset.meta import read_dataset_meta
 from schemas.dataset.rows import EpisodeSummary
 from schemas.dataset.run_shard import RunShard
@@ -54,6 +53,58 @@ from schemas.storage.dataset_files import (
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children, digest_of, relative_name
+
+
+class RepairKind(StrEnum):
+    """Kind of a repair action."""
+
+    # A lost or damaged ledger is rebuilt from plan, tables and archive.
+    REBUILD = "rebuild"
+    # A missing or damaged scene package or texture is taken from the cache or compiled again; an intact episode of the
+    # plan is moved back from quarantine and recorded.
+    RESTORE = "restore"
+    # An intact episode without a ledger record is validated and recorded.
+    ADOPT = "adopt"
+    # A file that is not an intact episode of this plan, or a texture that no scene needs, is moved to quarantine.
+    QUARANTINE = "quarantine"
+    # A recorded episode without a file is collected again, with the same content.
+    REQUEUE = "requeue"
+    # A table that is missing or differs from the ledger is written again.
+    REWRITE = "rewrite"
+
+
+class Action(Model):
+    """Repair action."""
+
+    kind: RepairKind
+    """Kind of the action."""
+    what: str
+    """File relative to the root of the dataset, or episode id."""
+    why: str
+    """Reason, with measured values."""
+
+
+class RepairReport(Model):
+    """Report of a repair."""
+
+    dataset: str
+    """Root of the dataset."""
+    run: str
+    """Name of the run."""
+    applied: bool
+    """Whether the actions were applied; `False` for a dry run."""
+    actions: tuple[Action, ...]
+    """Actions in the order of their application."""
+    episodes: int
+    """Number of archived episodes after the actions."""
+    planned: int
+    """Number of planned episodes."""
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether the dataset needs no action."""
+        return not self.actions
+
 
 _LEASE_TTL_S = 15.0
 _LISTED_CHARS = 500

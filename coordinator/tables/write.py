@@ -18,9 +18,8 @@ import pyarrow as pa
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
 from coordinator.tables.aggregates import TableAggregates, aggregate_episodes, aggregate_failures
-from coordinator.tables.card import dataset_card, with_shards
-from coordinator.tables.card_configs import splits_at
-from coordinator.tables.grouped_table import GroupedTable, ListedRows, RowSource, plain_row
+from coordinator.tables.card import dataset_card, splits_at, with_shards
+from coordinator.tables.row_groups import GroupedTable, ListedRows, RowSource, plain_row
 from coordinator.tables.table_reader import read_digest
 from schemas.base import Model
 from schemas.dataset.meta import (

@@ -6,9 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from coordinator.protocol.pulls import Pull
-from coordinator.validation.bundle_file import BundleFile
-from coordinator.validation.scope import Scope
+from coordinator.protocol.bundles import BundleFile, Pull, Scope
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle
 from schemas.job import Job

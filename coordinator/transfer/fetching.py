@@ -14,7 +14,7 @@ import structlog
 
 from coordinator.archive.contract import Archive, Staged
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.pulls import BuildJob, Pull
+from coordinator.protocol.bundles import BuildJob, Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import FindLocalBundle, LedgerClient
 from coordinator.transfer.refusals import Refusals

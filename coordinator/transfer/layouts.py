@@ -23,8 +23,8 @@ from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
 from coordinator.ledger import outcomes
 from coordinator.ledger.database.writer import Writer
+from coordinator.protocol.bundles import BuildJob, Pull
 from coordinator.protocol.protocol import Terms, fail_attempt
-from coordinator.protocol.pulls import BuildJob, Pull
 from schemas.errors import InvalidBundle
 from schemas.plan import Plan
 from schemas.protocol.messages import Fail, cut_detail

@@ -10,10 +10,10 @@ from datetime import datetime
 
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger import claims, outcomes, unchecked
+from coordinator.ledger import archived, claims, outcomes
 from coordinator.ledger.database.writer import Writer
+from coordinator.protocol.bundles import Pull
 from coordinator.protocol.protocol import Terms, fail_attempt
-from coordinator.protocol.pulls import Pull
 from coordinator.transfer.contract import Delivery
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Fail, cut_detail
@@ -55,7 +55,7 @@ class LocalLedgerClient:
             now = self._clock()
             fail_attempt(connection, report, self._terms, now)
             if is_false:
-                unchecked.bar_at_once(
+                archived.bar_at_once(
                     connection, host_of(pull.sid), f"invalid bundle, announced as valid: {report.detail}", now
                 )
 
@@ -67,5 +67,5 @@ def _own(connection: Connection, delivery: Delivery, now: datetime) -> bool:
     if not outcomes.archive(connection, pull.lease, receipt, now):
         return outcomes.is_owned(connection, pull.job.index)
     if not is_checked:
-        unchecked.note_unchecked(connection, pull.job.index, host_of(pull.sid))
+        archived.note_unchecked(connection, pull.job.index, host_of(pull.sid))
     return True

@@ -14,14 +14,13 @@ import structlog
 
 from coordinator.archive.contract import Archive
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.pulls import Pull
+from coordinator.protocol.bundles import Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, FindLocalBundle, LedgerClient, no_local_bundle
-from coordinator.transfer.delivering import Deliverer
+from coordinator.transfer.delivering import Arrival, Deliverer, SpotCheckedValidation
 from coordinator.transfer.fair_queue import FairQueue
 from coordinator.transfer.fetching import Fetch, Fetcher, Transfer
 from coordinator.transfer.refusals import Refusals
-from coordinator.transfer.spot_checks import Arrival, SpotCheckedValidation
 from schemas.errors import FactoryError
 from schemas.protocol.keys import host_of
 from schemas.support.closing import Closing

@@ -5,7 +5,7 @@ from __future__ import annotations
 import structlog
 
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.pulls import Pull
+from coordinator.protocol.bundles import Pull
 from coordinator.transfer.contract import LedgerClient
 from schemas.protocol.keys import host_of
 from schemas.support.log_limit import LogLimit

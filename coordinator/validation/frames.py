@@ -17,7 +17,7 @@ from schemas.encoding.arrays import DEPTH_FRAME
 from schemas.encoding.digest import frame_digest
 from schemas.episode import EpisodeMeta
 from schemas.errors import InvalidBundle
-from schemas.support.planar import yaw_of
+from schemas.support.geometry import yaw_of
 
 EMPTY_SLACK_SHARE = 0.001
 """Tolerated share of pixels with depth but no id, or an id but no depth. Two passes may rasterise differently."""

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from schemas.episode import EpisodeMeta
-from schemas.instruction.language import FROM_START, TEMPLATES, instruction, needs_colour, templates_for
+from schemas.instruction.templates import FROM_START, TEMPLATES, instruction, needs_colour, templates_for
 from schemas.job import Job
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.scene import Target

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from coordinator.validation.scope import Scope
+from coordinator.protocol.bundles import Scope
 from schemas.base import Line, Model, Sha256
 from schemas.dataset.rows import EpisodeSummary
 from schemas.job import Job

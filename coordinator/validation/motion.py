@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
 from schemas.config import RobotConfig
-from schemas.support.planar import yaw_of
+from schemas.support.geometry import yaw_of
 
 F64 = NDArray[np.float64]
 

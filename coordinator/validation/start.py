@@ -14,7 +14,7 @@ from schemas.exchangeable import exchangeable_targets
 from schemas.instruction.referents import ids_in_view
 from schemas.instruction.start_view import TargetChoice, start_view_findings
 from schemas.scene import Target
-from schemas.support.planar import yaw_of
+from schemas.support.geometry import yaw_of
 
 BEARING_SLACK_RAD = 1e-5
 """Tolerance between directions of float64 and float32 poses, radians."""

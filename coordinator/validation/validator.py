@@ -23,7 +23,7 @@ from types import MappingProxyType
 import structlog
 from pydantic import ValidationError
 
-from coordinator.validation.bundle_file import BundleFile
+from coordinator.protocol.bundles import BundleFile, Scope
 from coordinator.validation.messages import (
     HEADER,
     MAX_TASKS,
@@ -34,7 +34,6 @@ from coordinator.validation.messages import (
     Verdicts,
 )
 from coordinator.validation.sandbox import SECCOMP
-from coordinator.validation.scope import Scope
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
@@ -169,7 +168,9 @@ class Validator(Closing):
         """
         summary, package = _summary_or_raise(verdict), self._packages.get(job.scene_sha256)
         if verdict.language is not None and package is not None:
-            from coordinator.validation.language import sentence_findings  # most runs have no verified instructions
+            from coordinator.validation.instruction_check import (
+                sentence_findings,  # most runs have no verified instructions
+            )
 
             start = (summary.spawn_x_m, summary.spawn_y_m, summary.spawn_yaw_rad)
             aimed = job.model_copy(update={"target_id": summary.target_id})

@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from factory.bench.model import Machine, Memory, Spread, StageCost
+from factory.bench.results import Machine, Memory, Spread, StageCost
 
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _MIB = 1 << 20

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.packages import ScenePackage
-from factory.dataset.rendering.antialias import shrink_frame
-from factory.dataset.rendering.appearance import AppearancePackage, drawn_for
-from factory.dataset.rendering.shared_renderer import View, shared_renderer
+from factory.dataset.rendering import AppearancePackage, View, drawn_for, shared_renderer, shrink_frame
 from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader, encode_depth
 from schemas.encoding.image_sizes import FRAME_SIZE_PX

@@ -6,7 +6,7 @@ come from one version of the file, even if a coordinator replaces it meanwhile.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import Lock
@@ -14,14 +14,46 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from factory.dataset.table import representable
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import ArchiveCorrupt
 from schemas.storage.dataset_files import METADATA_FILE
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
+
+_EARLIEST, _LATEST = datetime(1, 1, 2, tzinfo=UTC), datetime(9999, 12, 30, tzinfo=UTC)
+"""Range of timestamps that `datetime` represents in any time zone."""
+_TICKS_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+_MIN, _MAX = -(2**63), 2**63 - 1
+
+
+def read_table(path: Place, columns: Sequence[str]) -> pa.Table:
+    """Returns the named columns of a table; other columns, which a later version added, are ignored.
+
+    Timestamps that `datetime` cannot represent become null, so the row can be read and its check reports it.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        Exception: The file is damaged: `pyarrow.ArrowException` or one of `PARSER_ERRORS`.
+    """
+    table = pq.read_table(table_of(path))
+    table.validate(full=True)  # otherwise invalid UTF-8 raises an error only when the value is used
+    table = table.select(list(columns))
+    for position, field in enumerate(table.schema):
+        if pa.types.is_timestamp(field.type):
+            table = table.set_column(position, field, representable(table[position]))
+    return table
+
+
+def representable(times: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Returns timestamps with null for those that `datetime` cannot represent."""
+    ticks, per_second = times.cast(pa.int64()), _TICKS_PER_SECOND[times.type.unit]
+    first, last = (int(bound.timestamp()) * per_second for bound in (_EARLIEST, _LATEST))
+    is_valid = pc.and_(pc.greater_equal(ticks, max(first, _MIN)), pc.less_equal(ticks, min(last, _MAX)))
+    return pc.if_else(is_valid, times, pa.scalar(None, times.type))
+
 
 NAMES = tuple(EpisodeSummary.model_fields)
 """Names of the columns."""

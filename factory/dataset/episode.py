@@ -25,8 +25,8 @@ from schemas.dataset.rows import EpisodeSummary
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
-from schemas.language.question.model import Question
-from schemas.language.route.model import SubInstruction
+from schemas.language.question.meaning import Question
+from schemas.language.route.meaning import SubInstruction
 from schemas.rig import Imu, Rig, Sensor, WheelOdometry
 from schemas.scene import Instance
 from schemas.storage.place import FilePlace
@@ -193,7 +193,7 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
-        from factory.dataset.rendering.observation import (
+        from factory.dataset.rendering import (
             observe,  # slow to import, and rarely needed
         )
 
@@ -215,7 +215,7 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
-        from factory.dataset.rendering.observation import measure
+        from factory.dataset.rendering import measure
 
         chosen = self._sensors(sensors)
         with self._reading() as bundle:

@@ -108,7 +108,7 @@ def light_file(package: Path, sha256: str) -> Path:
         UsageError: embreex is not installed.
         WorldError: the cache cannot be written.
     """
-    from factory.scenes.light.cached import bake_once
+    from factory.scenes.light.groups import bake_once
 
     return bake_once(package, sha256, cache_directory() / "light")
 

@@ -8,7 +8,7 @@ from typing import Any
 import pyarrow as pa
 
 from factory.dataset.episode import Episode
-from schemas.language.question.model import Question
+from schemas.language.question.meaning import Question
 
 QUESTIONS_SCHEMA = pa.schema(
     [

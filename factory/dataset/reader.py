@@ -21,7 +21,7 @@ from factory.dataset.questions import recorded_questions
 from factory.dataset.steps import has_routes, read_text_table
 from factory.dataset.vocabulary import require_known
 from schemas.appearance import Appearance
-from schemas.appearance.file import find_appearance
+from schemas.appearance.appearance_file import find_appearance
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.encoding.table_digest import table_digest
@@ -29,7 +29,7 @@ from schemas.errors import ArchiveCorrupt, UsageError
 from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.rig import Rig
-from schemas.rig.file import load_rig, require_rates
+from schemas.rig.rig_file import load_rig, require_rates
 from schemas.storage.dataset_files import INSTRUCTIONS_FILE, METADATA_FILE, QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.place import Place, place_of
 from schemas.storage.shard_index import packed_place

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
-from factory.dataset.rendering.shared_renderer import KEPT_SCENES
+from factory.dataset.rendering import KEPT_SCENES
 from factory.dataset.torch import ClipDataset
 
 _BUFFER_SAMPLES = 1 << 22

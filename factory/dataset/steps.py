@@ -7,8 +7,8 @@ import pyarrow.parquet as pq
 
 from schemas.dataset.meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt
-from schemas.language.question.model import Question, QuestionMeaning
-from schemas.language.route.model import RouteStep, SubInstruction
+from schemas.language.question.meaning import Question, QuestionMeaning
+from schemas.language.route.meaning import RouteStep, SubInstruction
 from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS

@@ -12,9 +12,8 @@ from typing import Any, TypedDict, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.dataset.open_episodes import OpenEpisodes
+from factory.dataset.parallel import OpenEpisodes, for_each
 from factory.dataset.reader import Dataset, Episode
-from factory.dataset.threads import for_each
 from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.support.extras import require_package
 

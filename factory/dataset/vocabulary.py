@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from schemas.errors import UsageError
-from schemas.instruction.language import TEMPLATES
+from schemas.instruction.templates import TEMPLATES
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.support.suggest import did_you_mean

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.tables.card_configs import Configs, configs_to_yaml
+from coordinator.tables.card import Configs, configs_to_yaml
 from schemas.dataset.meta import DatasetMeta
 
 CARD_FILE = "README.md"

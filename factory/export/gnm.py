@@ -23,7 +23,7 @@ from factory.export.card import CARD_FILE, export_card
 from factory.export.options import GnmOptions, stride_of
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
-from schemas.support.planar import yaw_of
+from schemas.support.geometry import yaw_of
 from schemas.terms import Split
 
 DATASET_NAME = "minivla_nav"

@@ -17,26 +17,89 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from factory.dataset.reader import Dataset
 from factory.eval.driving import measure
-from factory.eval.driving.appearance import live_appearance
+from factory.eval.driving.live_view import RigSensors, SensorArrays, live_appearance, live_arrays, require_live
 from factory.eval.driving.measure import odometry
-from factory.eval.driving.rig_sensors import RigSensors
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.spec import EvalSpec, SpecSet
-from factory.eval.specs.from_dataset import Places
-from factory.gym.episodes import specs_for
+from factory.eval.models.spec import EvalSpec, SpecSet, read_specs
+from factory.eval.specs.from_dataset import Places, specs_of_dataset
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
-from factory.gym.rig_space import flat, live_rig, rig_spaces
 from schemas.appearance import Appearance
+from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Rig
+from schemas.rig.rig_file import load_rig
 from schemas.storage.place import Place, place_of
-from schemas.terms import EndReason, RendererKind
+from schemas.support.suggest import did_you_mean
+from schemas.terms import EndReason, RendererKind, Split
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.experts.observation import Observation
 from workers.geometry.slew import Twist
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
+
+_UNBOUNDED = {"f": 1e9, "i": 2**53}
+"""Bound of a box for values without a limit, by kind of NumPy type. Gymnasium's checker warns of infinite bounds."""
+
+
+def live_rig(rig: str | Path | Rig, control_hz: int) -> Rig:
+    """Returns a rig that can be measured during a drive.
+
+    Raises:
+        UsageError: The rig does not exist, has optical flow, or a package of a sensor is not installed.
+        InvalidRig: The rig has mistakes, or a rate does not divide the control rate.
+    """
+    found = rig if isinstance(rig, Rig) else load_rig(str(rig), control_hz)
+    require_live(found, control_hz)
+    return found
+
+
+def rig_spaces(rig: Rig) -> dict[str, spaces.Space[Any]]:
+    """Returns the box of each array of a rig; arrays of instance ids are omitted."""
+    return {spec.name: _box(spec) for sensor in rig.sensors for spec in live_arrays(sensor).values()}
+
+
+def flat(measured: SensorArrays) -> dict[str, NDArray[Any]]:
+    """Returns the arrays of all sensors by the keys of `rig_spaces`."""
+    return {f"{sensor}/{name}": array for sensor, arrays in measured.items() for name, array in arrays.items()}
+
+
+def _box(spec: ArraySpec) -> spaces.Box:
+    dtype = np.dtype(spec.dtype)
+    most: float = np.iinfo(dtype).max if dtype.kind == "u" else _UNBOUNDED[dtype.kind]
+    low, high = spec.low, spec.high
+    assert not isinstance(low, tuple)
+    assert not isinstance(high, tuple)
+    least = 0 if dtype.kind == "u" else -most
+    shape = tuple(side for side in spec.shape if side is not None)
+    return spaces.Box(least if low is None else low, most if high is None else high, shape, dtype.type)
+
+
+def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> SpecSet:
+    """Returns the episodes of an environment.
+
+    Args:
+        root: Location of the dataset.
+        split: One or more splits of the dataset, separated by commas.
+        specs: File of specs, or a spec set, used instead of `split`.
+
+    Raises:
+        UsageError: The split does not exist, or it has no episodes.
+        WorldError: The dataset or the file cannot be read.
+    """
+    if isinstance(specs, SpecSet):
+        return specs
+    if specs is not None:
+        return read_specs(Path(specs))
+    names = [name.strip() for name in split.split(",")]
+    unknown = [name for name in names if name not in set(Split)]
+    if unknown:
+        raise UsageError(
+            f"unknown split {', '.join(unknown)}; valid splits: {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
+        )
+    return specs_of_dataset(Dataset(root), [Split(name) for name in names])
+
 
 _FAR_AWAY_M = 10_000.0
 _SUCCESS_REWARD = 10.0

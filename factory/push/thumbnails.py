@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.tables.split_layout import has_pictures, lacks_pictures
-from coordinator.tables.split_tables import write_split_tables
+from coordinator.tables.split_tables import has_pictures, lacks_pictures, write_split_tables
 from factory.dataset.reader import Dataset
 from schemas.storage.dataset_files import META_FILE, SPLITS_FOLDER
 from schemas.storage.place import children

@@ -22,7 +22,7 @@ from pydantic import Field, ValidationError
 
 from schemas.base import Line, Model, Sha256
 from schemas.errors import UsageError, WorldError
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.language.sentence.grammar import Grammar, grammar
 from schemas.language.sentence.paraphrase import pattern_fault, plain_patterns
 from schemas.storage.disk import replacing

@@ -1,8 +1,9 @@
-"""Writes the instructions of some episodes of one scene into a part file. Changes no dataset."""
+"""Writes the instructions and routes of some episodes of one scene into a part file. Changes no dataset."""
 
 from __future__ import annotations
 
 import functools
+import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,23 +18,76 @@ from factory.dataset.episode import Episode
 from factory.dataset.packages import ScenePackage
 from factory.dataset.questions import QUESTIONS_SCHEMA, question_rows
 from factory.dataset.reader import Dataset
-from factory.relabel.route import STEPS_SCHEMA, route_row, step_rows
 from schemas.config import CameraConfig
 from schemas.language.compose import Composer
-from schemas.language.file import LanguageSpec, TextKind
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.language_file import LanguageSpec, TextKind
 from schemas.language.question.compose import AskedEpisode, QuestionComposer
-from schemas.language.question.model import Question
+from schemas.language.question.meaning import Question
 from schemas.language.route.compose import RouteComposer
-from schemas.language.route.model import RouteText
+from schemas.language.route.meaning import RouteText
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage
 from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.disk import replacing
 from schemas.storage.place import Place
 from schemas.terms import Recording, Split
+
+STEPS_SCHEMA = pa.schema(
+    [
+        ("episode_id", pa.string()),
+        *((name, pa.int64()) for name in ("index", "number", "step", "start", "end")),
+        *((name, pa.string()) for name in ("kind", "instruction", "language", "register", "template_id", "meaning")),
+        ("held_out", pa.bool_()),
+    ]
+)
+"""Columns of `steps.parquet` (docs/language.md#routes)."""
+
+
+def route_row(episode_id: str, index: int, route: RouteText, distractors: int) -> dict[str, Any]:
+    """Returns the row of a route in `instructions.parquet`, without its number."""
+    kinds = sorted({str(each.step.kind) for each in route.steps})
+    return {
+        "episode_id": episode_id,
+        "index": index,
+        "kind": str(InstructionKind.ROUTE),
+        "instruction": route.text,
+        "language": route.language,
+        "register": route.register_name,
+        "template_id": route.template_id,
+        "held_out": route.held_out,
+        "expression": json.dumps([each.step.model_dump(mode="json") for each in route.steps]),
+        "features": ",".join(kinds),
+        "is_minimal": False,
+        "fits": 1,
+        "distractors": distractors,
+    }
+
+
+def step_rows(row: dict[str, Any], route: RouteText) -> Sequence[dict[str, Any]]:
+    """Returns the rows of the steps of a route.
+
+    Args:
+        row: row of the route in `instructions.parquet`, with its number.
+        route: the route.
+    """
+    shared = {name: row[name] for name in ("episode_id", "index", "number", "language", "register", "template_id")}
+    return [
+        {
+            **shared,
+            "held_out": route.held_out,
+            "step": each.number,
+            "start": each.start,
+            "end": each.end,
+            "kind": str(each.step.kind),
+            "instruction": each.text,
+            "meaning": each.step.model_dump_json(),
+        }
+        for each in route.steps
+    ]
+
 
 _KEPT_SCENES = 2
 _STREAM, _ROUTE_STREAM, _QUESTION_STREAM = 23, 24, 25

@@ -6,7 +6,6 @@ draws the figures of the web page import it.
 
 from __future__ import annotations
 
-from factory.report.folder import Summary
-from factory.report.make import make_report, render_report
+from factory.report.make import Summary, make_report, render_report
 
 __all__ = ["Summary", "make_report", "render_report"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.report.data import Drives, FrameSample, ReportInput, mapped_scenes
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from factory.stats import compute_statistics
 from factory.stats.rollouts import by_measure
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly

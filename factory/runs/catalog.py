@@ -1,12 +1,13 @@
 """Provides the compiled scenes of a run: the packages in the dataset, otherwise newly built or imported ones.
 
-A dataset keeps the packages that it was generated with, so later versions can resume and replay it. Simulates
-nothing.
+A dataset keeps the packages that it was generated with, so later versions can resume and replay it. Also checks that
+the files named in a plan can be read. Simulates nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+import shlex
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,10 +18,10 @@ from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.sentences import find_missing_instructions
 from factory.dataset.packages import light_file, package_file, packages_by_scene
 from factory.runs.layouts import LayoutBuilds, build_layouts
-from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
+from factory.scenes.stage_file import find_fault
 from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
 from schemas.errors import ArchiveCorrupt, InvalidPlan, UsageError
 from schemas.layouts import LayoutPlan
@@ -31,6 +32,46 @@ from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from schemas.terms import Recording, family_of, layout_number
+
+
+def require_files(plan: Plan, kept: Collection[str] = ()) -> None:
+    """Raises an error unless the files of all scenes of a plan can be read.
+
+    Args:
+        plan: Plan with the file names.
+        kept: Names of scenes whose package is in the dataset, so their files are not needed.
+
+    Raises:
+        InvalidPlan: A file is missing or invalid; the message lists all such files.
+    """
+    wanted = [(number, scene) for number, scene in enumerate(plan.scenes) if scene.name not in kept]
+    mistakes = [f"scenes[{number}] {scene.name}: {line}" for number, scene in wanted for line in _missing_of(scene)]
+    if mistakes:
+        raise InvalidPlan(f"plan {plan.name!r} names files that cannot be used", mistakes)
+
+
+def _missing_of(scene: ScenePlan) -> Iterator[str]:
+    fault = find_fault(Path(scene.file)) if scene.file is not None else ""
+    if fault:
+        yield f"file: {fault}"
+    if scene.rules is not None:
+        yield from (f"rules: {line}" for line in _refusal(scene, Path(scene.rules), None))
+    if scene.targets is not None:
+        targets = Path(scene.targets)
+        first = (
+            f"; before that `factory scene import {shlex.quote(scene.file)} --name {scene.name}`" if scene.file else ""
+        )
+        first = "" if targets.is_file() else first
+        yield from (f"targets: {line}{first}" for line in _refusal(scene, None, targets))
+
+
+def _refusal(scene: ScenePlan, rules: Path | None, targets: Path | None) -> Iterator[str]:
+    """Yields the errors of the rules and target list of a scene."""
+    try:
+        load_edits(rules, targets, scene.name)
+    except UsageError as error:
+        yield str(error)
+
 
 MessageCallback = Callable[[str], None]
 

@@ -6,13 +6,13 @@ from collections import Counter
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand, to_job
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from coordinator.expansion.summary import MOST_SUMMARISED
 from schemas.plan import Plan
 from schemas.scene import read_geometry
 from schemas.terms import Tier
 from workers.planning import is_way_straight
-from workers.sim.scene_renderer import LoadedScene, prepare_scene
+from workers.sim.context import LoadedScene, prepare_scene
 from workers.sim.spawn import surveyed_points
 
 _MOST_TARGETS = 12

@@ -16,7 +16,7 @@ from pathlib import Path
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand, to_job
 from factory.stats.measures import share_of
-from factory.stats.model import Share
+from factory.stats.statistics import Share
 from schemas.base import Fraction, Model
 from schemas.errors import WorldError
 from schemas.job import Job

@@ -16,7 +16,7 @@ import structlog
 
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog, read_entry
-from coordinator.expansion.file import shrink, with_appearance
+from coordinator.expansion.plan_file import shrink, with_appearance
 from coordinator.ledger.opening import require_plan
 from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
@@ -31,7 +31,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.protocol.messages import MAX_STATES_CHARS
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from schemas.storage.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
 from schemas.storage.place import Place, children
 from schemas.storage.shard_index import episode_place

@@ -12,13 +12,13 @@ from typing import BinaryIO
 
 import numpy as np
 
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from schemas.storage.place import FilePlace, Place
 from schemas.terms import RendererKind
 from workers.sim.attempt import AttemptFailure, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, PAPER_LAYOUTS, author_content, author_scene
+from factory.scenes.author.scene import AUTHOR_VERSION, BUILTIN_SCENES, PAPER_LAYOUTS, author_content, author_scene
 from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.requirements import require_building

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from factory.stats.compute import compute_statistics, measure_dataset
-from factory.stats.model import LanguageStatistics, Statistics
+from factory.stats.statistics import LanguageStatistics, Statistics
 
 __all__ = ["LanguageStatistics", "Statistics", "compute_statistics", "measure_dataset"]

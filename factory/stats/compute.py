@@ -5,9 +5,9 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from coordinator.expansion.builtin import is_paper_plan
-from factory.stats import attempts, counts, rollouts
-from factory.stats.model import Statistics
+from factory.stats import counts, rollouts
 from factory.stats.rows import Rows, read_rows
+from factory.stats.statistics import Statistics
 from schemas.storage.place import Place
 from schemas.terms import SuccessMeasure
 
@@ -76,8 +76,8 @@ def _all_tables(name: str, rows: Rows) -> Statistics:
         categories=categories,
         three_largest_share=counts.share_of_largest(categories, _LARGEST),
         templates=counts.count_templates(episodes),
-        attempts=None if failures is None else attempts.attempt_rows(episodes, failures, scenes),
-        cells=attempts.cell_rows(episodes, failures, plan),
+        attempts=None if failures is None else counts.attempt_rows(episodes, failures, scenes),
+        cells=counts.cell_rows(episodes, failures, plan),
         navigation_error=rollouts.navigation_errors(episodes, scenes, radius_m),
         other_error=rollouts.navigation_errors(episodes_by_other, scenes, radius_m) if episodes_by_other else (),
         correlation=rollouts.correlations(episodes, scenes),

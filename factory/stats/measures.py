@@ -12,7 +12,7 @@ import numpy as np
 import scipy  # loads `scipy.stats` only at its first use, because that takes a second
 from numpy.typing import ArrayLike, NDArray
 
-from factory.stats.model import Fit, Interval, Share
+from factory.stats.statistics import Fit, Interval, Share
 
 CONFIDENCE = 0.95
 QUANTILES = (0, 5, 25, 50, 75, 95, 100)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from factory.stats.model import Fit, Published
-from schemas.instruction.language import TEMPLATES, needs_colour
+from factory.stats.statistics import Fit, Published
+from schemas.instruction.templates import TEMPLATES, needs_colour
 from schemas.terms import Split, Tier
 
 _SCENES, _SPLITS, _TIERS = "Table V, Sec. V-E", "Table VI", "Table VII, Fig. 2"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from factory.stats import paper
 from factory.stats.measures import deviation_of, fit_line, interval_of, mean_of, median_of, quantiles_of, share_of
-from factory.stats.model import ErrorRow, FarRow, Fit, Published, RolloutRow
+from factory.stats.statistics import ErrorRow, FarRow, Fit, Published, RolloutRow
 from schemas.dataset.rows import EpisodeSummary
 from schemas.terms import Split, SuccessMeasure, Tier, family_of
 

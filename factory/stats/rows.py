@@ -11,9 +11,9 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from coordinator.expansion.cells import cells
+from factory.dataset.columns import read_table
 from factory.dataset.reader import Dataset
-from factory.dataset.table import read_table
-from factory.stats.model import Remark
+from factory.stats.statistics import Remark
 from schemas.base import Model
 from schemas.dataset.meta import DatasetMeta
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Set
 from types import MappingProxyType
 
+from factory.dataset.columns import read_table
 from factory.dataset.episode import Episode
 from factory.dataset.packages import find_package_file
-from factory.dataset.table import read_table
 from factory.stats.language import EpisodeView, summarise_language
-from factory.stats.model import LanguageStatistics
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
+from factory.stats.statistics import LanguageStatistics
 from schemas.dataset.rows import file_name_of
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.instruction.referents import referents, referents_of
-from schemas.instruction.seen_objects import see_objects
+from schemas.instruction.start_view import see_objects
 from schemas.measure import target_in_view
 from schemas.scene import SceneInfo, read_info
 from schemas.storage.dataset_files import EPISODES, INSTRUCTIONS_FILE, SCENES

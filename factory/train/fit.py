@@ -21,11 +21,10 @@ from torch.nn import functional
 from factory.dataset.sampler import shuffle_by_scene
 from factory.train import preprocess
 from factory.train.frames import TrainingFrames
+from factory.train.measures import EpochMeasures
 from factory.train.network import BcNetwork, NetworkOutput
-from factory.train.options import BcOptions
+from factory.train.options import BcOptions, ema_decay, learning_rate
 from factory.train.preprocess import Batch, augment
-from factory.train.report import EpochMeasures
-from factory.train.schedule import ema_decay, learning_rate
 from factory.train.vocabulary import encode, mirrored_words
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
 

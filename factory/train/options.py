@@ -1,7 +1,8 @@
-"""Models of training options and checkpoint metadata. Opens no files."""
+"""Options of a training, their schedules, and the metadata of checkpoints. Opens no files; pure functions."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
@@ -9,6 +10,29 @@ from pydantic import Field, field_validator
 from factory.train.input_size import PREPROCESS_VERSION, SIZES
 from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
 from schemas.view import AppearanceData
+
+_FINAL_SHARE = 0.02
+
+
+def learning_rate(step: int, steps: int, peak: float, warmup: int) -> float:
+    """Returns the learning rate of a step.
+
+    Args:
+        step: Step, from 0 to `steps` - 1.
+        steps: Number of steps of the training.
+        peak: Maximum learning rate.
+        warmup: Number of warm-up steps.
+    """
+    if step < warmup:
+        return peak * (step + 1) / warmup
+    share = min(1.0, (step - warmup) / max(1, steps - warmup))
+    return peak * (_FINAL_SHARE + (1 - _FINAL_SHARE) * 0.5 * (1 + math.cos(math.pi * share)))
+
+
+def ema_decay(step: int, limit: float) -> float:
+    """Returns the decay of the moving average of the weights at a step; small at first, when the average is noise."""
+    return min(limit, (1 + step) / (10 + step))
+
 
 CHECKPOINT_FORMAT = 2
 """Format version of a checkpoint. Readers accept this version and older ones, and raise an error for a newer one."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.dataset.rendering.antialias import mean_of_blocks, middle_of_blocks
+from factory.dataset.rendering import mean_of_blocks, middle_of_blocks
 
 FAR_M = 10.0
 """Maximum depth, metres. Larger depths, and 0 (the ray hits nothing), are set to this value."""

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.instruction.language import TEMPLATES, say_category
+from schemas.instruction.templates import TEMPLATES, say_category
 from schemas.terms import CATEGORIES
 
 PAD, UNKNOWN, ANY = 0, 1, 2

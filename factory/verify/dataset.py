@@ -1,28 +1,34 @@
-"""Verifies a dataset: every file against the tables and, with `deep`, every frame and digest, and the quotas of the
-plan.
+"""Verifies a dataset: every file against the tables and, with `deep`, every frame and digest, and the plan's quotas.
 
-Returns all findings; does not stop at the first. Does not write, print or need a ledger.
+Returns all findings; does not stop at the first. Does not write, print or need a ledger. Episodes are checked in
+several processes if that saves more time than their start takes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+import multiprocessing
+import os
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from itertools import chain, islice
 from types import MappingProxyType
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import ValidationError
 
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.cells import cells
-from coordinator.tables.card_configs import names_split_tables
-from coordinator.tables.split_faults import FaultKind, find_faults
+from coordinator.tables.card import names_split_tables
+from coordinator.tables.split_tables import FaultKind, find_faults
 from factory.dataset.reader import Dataset, Episode
 from factory.scenes.targets.target_list import list_file_name
-from factory.verify.check_runner import run_checks
-from factory.verify.episode import EpisodeCheck, targets_of
-from factory.verify.report import Finding, Kind, VerifyReport
-from factory.verify.rows import RowCheck
+from factory.support.logs import configure_logs
+from factory.verify.episode import EpisodeCheck, EpisodeFindings, check_episode, targets_of
+from factory.verify.findings import Finding, Kind, VerifyReport
 from schemas.dataset.meta import DatasetMeta
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
@@ -41,7 +47,86 @@ from schemas.storage.dataset_files import (
 )
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import Place, children, digest_of, local_copy, relative_name, table_of
-from schemas.terms import Recording
+from schemas.terms import Recording, Split, Tier
+
+_ROWS_AT_A_TIME = 2000
+_CHECKS_AT_A_TIME = 4
+_BYTES_PER_S = 75e6
+_EPISODE_S = 0.01
+"""Part of the CPU time of a deep check that does not depend on the size of the episode, seconds."""
+_WORTH_A_PROCESS_S = 2.0
+"""CPU time of checks that justifies one more process, seconds: twice the CPU time of its start and imports."""
+
+
+def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterator[EpisodeFindings]:
+    """Yields the result of each check, in the order of the checks.
+
+    Args:
+        checks: Checks, read as they are needed.
+        processes: Number of processes; 1 runs in the calling process. `None` uses the result of `useful_processes`.
+    """
+    batch = list(islice(checks, _ROWS_AT_A_TIME))
+    count = min(useful_processes(batch, os.cpu_count() or 1) if processes is None else processes, len(batch))
+    if count <= 1:
+        yield from map(check_episode, chain(batch, checks))
+        return
+    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by other threads
+    with ProcessPoolExecutor(count, fresh, initializer=configure_logs) as pool:
+        while batch:  # `pool.map` reads all of its input at once
+            yield from pool.map(check_episode, batch, chunksize=_CHECKS_AT_A_TIME if len(batch) > 100 else 1)
+            batch = list(islice(checks, _ROWS_AT_A_TIME))
+
+
+def useful_processes(checks: Sequence[EpisodeCheck], cores: int) -> int:
+    """Returns the number of processes that finish the checks soonest; at most one per core.
+
+    Each episode that is rendered again justifies a process, because rendering it takes seconds.
+    """
+    rendered = sum(check.render for check in checks)
+    work_s = sum(_EPISODE_S + check.row.file_bytes / _BYTES_PER_S for check in checks if check.deep)
+    return max(1, min(cores, rendered + int(work_s / _WORTH_A_PROCESS_S)))
+
+
+class RowCheck:
+    """Checks the rows of a dataset one by one, and adds what it finds to a report. Keeps no row.
+
+    Args:
+        dataset: Dataset to check.
+        report: Report of the verification.
+    """
+
+    def __init__(self, dataset: Dataset, report: VerifyReport) -> None:
+        self._dataset, self._report = dataset, report
+        self.names: set[str] = set()
+        """Ids of the episodes with a valid row."""
+        self.cells: Counter[tuple[str, Split, Tier]] = Counter()
+        """Number of valid rows by scene, split and tier."""
+        self.plans: set[str] = set()
+        """Digests of the plans in valid rows."""
+
+    def __iter__(self) -> Iterator[EpisodeSummary]:
+        """Yields the first valid row of each episode."""
+        return (row for row in map(self._parse, self._dataset.rows()) if row is not None)
+
+    def _parse(self, values: dict[str, Any]) -> EpisodeSummary | None:
+        try:
+            row = EpisodeSummary.model_validate(values)
+        except ValidationError as error:
+            where = sorted({str(item["loc"][0]) for item in error.errors() if item["loc"]})
+            self._report.add(
+                Kind.DAMAGED, METADATA_FILE, f"{values.get('episode_id')}: wrong values in {', '.join(where)}"
+            )
+            return None
+        if row.episode_id != episode_id(row.index):
+            self._report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} has index {row.index}")
+        if row.episode_id in self.names:
+            self._report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} has more than one row")
+            return None
+        self.names.add(row.episode_id)
+        self.cells[row.scene, row.split, row.spawn_tier] += 1
+        self.plans.add(row.plan_digest)
+        return row
+
 
 __all__ = ["Finding", "Kind", "VerifyReport", "verify"]
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from coordinator.expansion.catalog import SceneEntry
-from coordinator.validation.language import said_findings
+from coordinator.validation.instruction_check import said_findings
 from coordinator.validation.validate import validate
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode
-from factory.verify.difference import RenderDifference
-from factory.verify.rendering import compare_rendered
-from factory.verify.report import Finding, Kind
+from factory.verify.findings import Finding, Kind
+from factory.verify.rendering import RenderDifference, compare_rendered
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle

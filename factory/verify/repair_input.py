@@ -13,7 +13,7 @@ from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, require_plan
 from coordinator.ledger.reading.reader import open_ledger
 from coordinator.recovery.repair_dataset import RepairInput
-from coordinator.recovery.stray_files import count_plans
+from coordinator.recovery.survey import count_plans
 from factory.dataset.packages import package_copy
 from factory.dataset.site import Site
 from factory.runs.catalog import collect_scenes, open_catalog

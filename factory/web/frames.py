@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.dataset.episode import Episode
-from factory.dataset.rendering.shared_renderer import KEPT_SCENES
+from factory.dataset.rendering import KEPT_SCENES
 from factory.visualize.panels import show_depth, show_ids
 from factory.web.workspace import Workspace
 from schemas.encoding.image_sizes import FRAME_SIZE_PX

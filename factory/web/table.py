@@ -1,4 +1,7 @@
-"""Selects and sorts the episodes of a dataset by columns, without reading rows. Imports no web framework."""
+"""Selects and sorts the episodes of a dataset by columns, without reading rows. Imports no web framework.
+
+The first rows are read alone for a page that is requested before the whole table is read.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,40 @@ from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
 from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.storage.dataset_files import METADATA_FILE
+from schemas.storage.place import Place, table_of
+from schemas.support.foreign import PARSER_ERRORS
 from schemas.support.suggest import did_you_mean
+
+
+class FirstRows(NamedTuple):
+    """First rows of a table."""
+
+    rows: list[dict[str, Any]]
+    """Values of `ROW_COLUMNS`, in the order of the episodes."""
+    total: int
+    """Number of rows of the table."""
+
+
+def read_first_rows(root: Place, count: int) -> FirstRows | None:
+    """Returns the first rows of a table; `None` if it cannot be read. The error is reported when all rows are read."""
+    try:
+        file = pq.ParquetFile(table_of(root / METADATA_FILE))
+        batch = next(file.iter_batches(count, columns=list(ROW_COLUMNS)), None)
+        return FirstRows(batch.to_pylist() if batch else [], file.metadata.num_rows)
+    except (OSError, pa.ArrowException, *PARSER_ERRORS):
+        return None
+
 
 FILTERS = MappingProxyType(
     {

@@ -1,14 +1,18 @@
 """Appearance randomisation: ranges of light, materials, camera and clutter, and the factors drawn from them."""
 
-from schemas.appearance.drawn import (
+from schemas.appearance.factors import (
+    Appearance,
     CameraChange,
+    CameraRanges,
     ClutterObject,
+    ClutterRanges,
     DrawnAppearance,
     LampLight,
     LightMix,
+    LightRanges,
+    MaterialRanges,
     SurfaceChange,
 )
-from schemas.appearance.ranges import Appearance, CameraRanges, ClutterRanges, LightRanges, MaterialRanges
 
 __all__ = [
     "Appearance",

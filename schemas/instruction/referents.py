@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.episode_spec import EpisodeSpec
-from schemas.instruction.language import TEMPLATES, needs_colour
+from schemas.instruction.templates import TEMPLATES, needs_colour
 from schemas.scene import SceneInfo
 
 

@@ -1,13 +1,14 @@
 """Conditions on the image at the start of an episode, which make its instruction unambiguous for the robot there.
 
 Plan expansion sets the conditions, the worker draws starts until they hold, and validation checks them in the first
-frame, all with the function of this module. It renders nothing.
+frame, all with the functions of this module. It renders nothing.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
 import numpy as np
@@ -17,7 +18,6 @@ from pydantic import ConfigDict, Field
 from schemas.base import Count, Fraction, Model, NonNegative
 from schemas.config import CameraConfig
 from schemas.instruction.referents import ids_in_view
-from schemas.instruction.seen_objects import SeenObject, see_objects
 from schemas.scene import MAX_INSTANCES
 
 IN_FRONT_RAD = math.radians(30)
@@ -144,3 +144,52 @@ def _range_of(seen: SeenObject) -> float:
 
 def _angle_of(seen: SeenObject) -> float:
     return abs(seen.bearing_rad)
+
+
+@dataclass(frozen=True)
+class SeenObject:
+    """Object in view of the camera."""
+
+    id: int
+    """Value of its pixels in the id image."""
+    range_m: float
+    """Distance from the camera to the nearest visible point, metres."""
+    bearing_rad: float
+    """Horizontal angle from the optical axis to the mean column of the mask, radians; positive to the right."""
+    pixels: int
+    """Size of its mask, pixels."""
+
+
+def see_objects(
+    ids: NDArray[np.uint16],
+    depth: NDArray[np.float32],
+    objects: Collection[int],
+    camera: CameraConfig,
+    min_pixels: int,
+) -> tuple[SeenObject, ...]:
+    """Returns the given objects that are in view, in the order of their ids.
+
+    Args:
+        ids: (S, S) instance ids.
+        depth: (S, S) metres along the optical axis, 0 where the ray hits nothing.
+        objects: ids of the objects to find.
+        camera: camera of the image.
+        min_pixels: smallest mask of an object in view, pixels.
+    """
+    found = sorted(ids_in_view(ids, min_pixels).intersection(objects))
+    # tangents of the angles from the optical axis to the centres of the pixels of a row or column
+    half = ids.shape[0] / 2
+    tangents = (np.arange(ids.shape[0]) + 0.5 - half) / half * math.tan(math.radians(camera.fov_deg) / 2)
+    return tuple(_see(number, np.nonzero(ids == number), depth, tangents) for number in found)
+
+
+def _see(
+    number: int,
+    pixels: tuple[NDArray[np.intp], ...],
+    depth: NDArray[np.float32],
+    tangents: NDArray[np.float64],
+) -> SeenObject:
+    """Returns the object with this id from the rows and columns of its pixels."""
+    up, aside = tangents[pixels[0]], tangents[pixels[1]]
+    ranges = depth[pixels] * np.sqrt(1 + up**2 + aside**2)
+    return SeenObject(number, float(ranges.min()), math.atan(float(aside.mean())), len(ranges))

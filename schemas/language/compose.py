@@ -1,20 +1,20 @@
 """Writes verified instructions for one target: draws expressions, patterns and words; keeps what the verifier accepts.
 
-Opens no file; the random generator is an argument.
+Also finds out whether a language file yields instructions in a scene. Opens no file; the random generator is an
+argument.
 """
 
 from __future__ import annotations
 
 import functools
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from schemas.language.draw import draw_index, draw_weighted
 from schemas.language.expression import Clause, Expression, Family, Landmark, Relation
-from schemas.language.file import LanguageSpec, SpokenLanguage
 from schemas.language.generator.minimal import (
     indefinite_candidates,
     minimal_candidates,
@@ -25,6 +25,7 @@ from schemas.language.generator.view_facts import ViewFacts
 from schemas.language.graph.view import SceneView
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.kinds import UNKNOWN
+from schemas.language.language_file import LanguageSpec, SpokenLanguage
 from schemas.language.scene import SceneLanguage
 from schemas.language.sentence.grammar import SentencePattern
 from schemas.language.sentence.mistakes import MistakeKind, with_mistake
@@ -313,3 +314,35 @@ def features_of(expression: Expression, kind: str) -> frozenset[Family]:
 def _mean_weight(spec: LanguageSpec, group: frozenset[Family]) -> float:
     values = [spec.features.get(each, 1.0) for each in group]
     return sum(values) / len(values) if values else 1.0
+
+
+Probe = tuple[int, SceneView]
+"""Number of a target in the scene graph, and a view from a start."""
+
+
+def explain_impossible(scene: SceneLanguage, spec: LanguageSpec, probes: Sequence[Probe]) -> str:
+    """Returns why no probe gets an instruction, and which features are possible; empty if a probe gets an instruction.
+
+    Args:
+        scene: prepared scene.
+        spec: content of the language file.
+        probes: targets with starts, at least one.
+    """
+    if any(_features(scene, composer_of(spec), probes)):
+        return ""
+    every = spec.model_copy(update={"features": dict.fromkeys(Family, 1.0), "same_category": 0, "in_view": 0})
+    possible = sorted(set(_features(scene, Composer(every.model_copy(update={"balanced": False})), probes)))
+    rivals = max(scene.distractors(number) for number, _ in probes)
+    what = ", ".join(possible) or f"none with fit = {spec.fit!r}"
+    return (
+        f"no instruction with these features fits a target; features possible in this scene: {what}; a target has at "
+        f"most {rivals} other objects of its category"
+    )
+
+
+def _features(scene: SceneLanguage, composer: Composer, probes: Sequence[Probe]) -> Iterator[str]:
+    """Yields the features of each instruction that is written for the probes."""
+    for place, (number, view) in enumerate(probes):
+        rng = np.random.default_rng((composer.spec.seed, place))
+        for one in composer.write(scene, view, number, False, rng):
+            yield one.features or "category alone"

@@ -9,9 +9,8 @@ import numpy as np
 
 from schemas.encoding.arrays import ArraySpec
 from schemas.rig.cameras import Camera, CameraOutput, DepthKind
-from schemas.rig.motion import Imu, WheelOdometry
-from schemas.rig.ranging import Lidar2d, Lidar3d
 from schemas.rig.rig import Rig, Sensor
+from schemas.rig.sensors import Imu, Lidar2d, Lidar3d, WheelOdometry
 
 MAX_MEASURED_IMAGES = 60_000
 """Largest number of stored images and scans of an episode; a bundle has at most 65,535 members, frames included."""

@@ -15,8 +15,8 @@ from pydantic import Field, model_validator
 
 from schemas.base import Finite, Positive
 from schemas.rig.distortion import first_fold, fisheye_radii, undistort
-from schemas.rig.mount import Mount, MountedSensor
 from schemas.rig.noise import CameraNoise
+from schemas.rig.sensors import Mount, MountedSensor
 
 MAX_SIDE_PX = 4096
 """Largest width and height of an image, pixels."""

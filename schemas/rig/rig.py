@@ -1,6 +1,6 @@
 """The rig: sensors on a body. Checks that names differ, and that sensors are outside of the body and above the floor.
 
-Does not read files; `schemas.rig.file` does.
+Does not read files; `schemas.rig.rig_file` does.
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ from pydantic import Field, StringConstraints, model_validator
 from schemas.base import Line, Model, Text
 from schemas.errors import UsageError
 from schemas.rig.cameras import EquirectangularCamera, FisheyeCamera, PinholeCamera
-from schemas.rig.motion import Imu, WheelOdometry
-from schemas.rig.mount import Mount
-from schemas.rig.ranging import Lidar2d, Lidar3d
+from schemas.rig.sensors import Imu, Lidar2d, Lidar3d, Mount, WheelOdometry
 from schemas.support.suggest import did_you_mean
 
 RigName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]{0,63}$")]

@@ -1,7 +1,8 @@
 """Writes and reads the packages of compiled scenes, in open binary files. Opens no path.
 
-A package of format 3 contains its textures. One of format 4 lists their files, which the caller provides; a complete
-package contains these files, too (`schemas.scene.complete`).
+A package of format 3 contains its textures. One of format 4 lists their files, which the caller provides, and stores
+vertex positions and light maps losslessly in arrays that compress better; a complete package contains the textures,
+too (`schemas.scene.complete`).
 """
 
 from __future__ import annotations
@@ -19,10 +20,57 @@ from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.ndarray import compress, decode_npy_zst, decompress, encode_npy_zst
 from schemas.errors import InvalidBundle
-from schemas.scene import columns
 from schemas.scene.compiled import SCENE_ARRAYS, TEXTURES_SPEC, CompiledScene, Layer, contradictions
 from schemas.scene.info import LAYOUT_FORMAT, MAX_TEXTURES, SCENE_FORMAT, SceneInfo, TextureFile
 from schemas.scene.textures import ReadTexture, encode_texture, load_texture
+
+PLACES = ArraySpec("places", (None, 3), np.float32, "m", -1e4, 1e4)
+"""(U, 3) distinct vertex positions in the order of their first use, metres."""
+PLACE_STEPS = ArraySpec("place_steps", (None,), np.uint32, "1")
+"""(V,) for each vertex, the number of distinct places before it minus the index of its place; 0 for a new place."""
+LIGHT_STEPS = ArraySpec("light_steps", (3, None, None), np.uint8, "1")
+"""(3, H, W) green, red - green and blue - green of the light map; each as the difference to the texel on the left."""
+
+
+def split_positions(positions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Returns `PLACES` and `PLACE_STEPS` of vertex positions (V, 3)."""
+    rows = np.ascontiguousarray(positions).view(np.dtype((np.void, 12))).reshape(-1)
+    _, firsts, found = np.unique(rows, return_index=True, return_inverse=True)
+    order = np.argsort(firsts)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    place = rank[found]
+    used = np.concatenate(([0], np.maximum.accumulate(place)[:-1] + 1)) if len(place) else place
+    return positions[firsts[order]], (used - place).astype(np.uint32)
+
+
+def join_positions(places: NDArray[np.float32], steps: NDArray[np.uint32]) -> NDArray[np.float32]:
+    """Returns the vertex positions (V, 3) of `PLACES` and `PLACE_STEPS`.
+
+    Raises:
+        InvalidBundle: a step refers to a place that does not exist, or a place is not used.
+    """
+    is_first = steps == 0
+    used = np.cumsum(is_first)
+    rows = used - is_first - steps.astype(np.int64)
+    if rows.min(initial=0) < 0 or np.count_nonzero(is_first) != len(places):
+        raise InvalidBundle("scene refused", ["place_steps does not match the places in the package"])
+    return np.asarray(places[rows], np.float32)
+
+
+def split_light(light_map: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Returns `LIGHT_STEPS` of a light map (H, W, 3); all differences are modulo 256."""
+    red, green, blue = (light_map[..., channel] for channel in range(3))
+    planes = np.stack((green, red - green, blue - green))
+    planes[:, :, 1:] -= planes[:, :, :-1].copy()
+    return planes
+
+
+def join_light(steps: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Returns the light map (H, W, 3) of `LIGHT_STEPS`."""
+    green, red, blue = np.cumsum(steps, axis=2, dtype=np.uint8)
+    return np.stack((red + green, green, blue + green), axis=2)
+
 
 MAX_SCENE_BYTES = 512 << 20
 """Largest size of a package and of each of its members, bytes."""
@@ -32,8 +80,8 @@ _READABLE = (2, SCENE_FORMAT, LAYOUT_FORMAT)
 _INFO, _SMALL_INFO = "scene.json", "scene.json.zst"
 _MAX_INFO_BYTES = 256 << 20
 _SMALLER: dict[str, tuple[Callable[..., NDArray[Any]], tuple[ArraySpec, ...]]] = {
-    "positions": (columns.join_positions, (columns.PLACES, columns.PLACE_STEPS)),
-    "light_map": (columns.join_light, (columns.LIGHT_STEPS,)),
+    "positions": (join_positions, (PLACES, PLACE_STEPS)),
+    "light_map": (join_light, (LIGHT_STEPS,)),
 }
 """Arrays that format 4 stores in a smaller form, by name: the function that restores the array, and the specs of the
 arrays that are stored instead."""
@@ -77,8 +125,8 @@ def encode_layout(scene: CompiledScene, level: int = 9) -> LayoutPackage:
     encoded = [encode_texture(layer) for layer in scene.textures]
     files = tuple(file for file, _ in encoded)
     info = SceneInfo.model_validate(dict(scene.info) | {"format": LAYOUT_FORMAT, "textures": files})
-    places, steps = columns.split_positions(scene.positions)
-    smaller = {"places": places, "place_steps": steps, "light_steps": columns.split_light(scene.light_map)}
+    places, steps = split_positions(scene.positions)
+    smaller = {"places": places, "place_steps": steps, "light_steps": split_light(scene.light_map)}
     arrays = {spec.name: smaller.get(spec.name, vars(scene).get(spec.name)) for spec in _LAYOUT_SPECS}
     return LayoutPackage(_pack(_SMALL_INFO, compress(_info_json(info), level), arrays, level), dict(encoded))
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from schemas.support.geometry import gaps_to, polygon_distances, squares
 from schemas.support.numpy_types import Floats
-from schemas.support.planar import gaps_to, polygon_distances, squares
 
 _STEP = 2.0**-36
 """Resolution of a point on a line, as a share of its length; below 1e-8 m on a line of 100 m."""

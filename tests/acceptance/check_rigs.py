@@ -29,7 +29,7 @@ from rosbags.highlevel import AnyReader
 from factory.dataset.reader import Dataset
 from schemas.rig import EquirectangularCamera, Rig, Sensor
 from schemas.rig.arrays import arrays_of, is_of_motion, measured_steps
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 
 RIGS = ("paper", "turtlebot4", "nova-carter")
 APPEARANCES = ("none", "varied")

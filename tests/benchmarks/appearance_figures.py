@@ -15,7 +15,7 @@ from PIL import Image
 from factory.dataset.packages import light_file
 from factory.scenes.build import build_scene
 from factory.support.settings import scene_cache
-from schemas.appearance.file import load_appearance
+from schemas.appearance.appearance_file import load_appearance
 from schemas.appearance.light_groups import decode_light_groups
 from schemas.config import CameraConfig
 from schemas.scene import read_scene

@@ -22,10 +22,10 @@ import numpy as np
 from factory.scenes.build import build_scene
 from schemas.language.compose import Composer
 from schemas.language.expression import Family
-from schemas.language.file import LanguageSpec
 from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
+from schemas.language.language_file import LanguageSpec
 from schemas.language.scene import SceneLanguage
 from schemas.language.sentence.grammar import grammar
 from schemas.language.sentence.reading import reader

@@ -26,12 +26,12 @@ from factory.dataset.reader import Dataset
 from schemas.config import CameraConfig
 from schemas.language.compose import Composer
 from schemas.language.expression import Expression
-from schemas.language.file import LanguageSpec
 from schemas.language.graph.scene_graph import SceneGraph, build_graph
 from schemas.language.graph.view import look
+from schemas.language.language_file import LanguageSpec
 from schemas.language.question.compose import AskedEpisode, QuestionComposer
 from schemas.language.route.compose import RouteComposer
-from schemas.language.route.model import DrivenPath
+from schemas.language.route.meaning import DrivenPath
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage
 from schemas.scene import CompiledScene, read_scene

@@ -18,9 +18,8 @@ import numpy as np
 from factory.scenes.build import build_scene
 from schemas.config import CameraConfig
 from schemas.rig.cameras import PinholeCamera
-from schemas.rig.mount import Mount
 from schemas.rig.noise import CameraNoise, ColourNoise, LidarNoise, StereoDepthNoise, StructuredLightNoise
-from schemas.rig.ranging import Lidar3d
+from schemas.rig.sensors import Lidar3d, Mount
 from schemas.scene import read_scene
 from workers.geometry.pose import Pose
 from workers.render.choose import open_renderer

@@ -20,7 +20,7 @@ from factory.bench.machine import resident_mib
 from schemas.config import CameraConfig, RobotConfig, TaskConfig
 from workers.geometry.pose import Pose
 from workers.physics.world import World
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def write_package(folder: Path, data: bytes) -> Path:

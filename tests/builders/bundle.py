@@ -20,9 +20,8 @@ from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
-from schemas.episode import EpisodeMeta, Provenance, Rollout, format_of
-from schemas.fingerprint import Fingerprint
-from schemas.instruction.language import instruction
+from schemas.episode import EpisodeMeta, Fingerprint, Provenance, Rollout, format_of
+from schemas.instruction.templates import instruction
 from schemas.job import Job
 from schemas.measure import measure_track
 from schemas.rig.measurements import Arrays, measurements_of

@@ -23,7 +23,7 @@ from tests.builders.dataset import NOW
 from tests.builders.scene import box_room
 from tests.builders.shared import build_once
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 SCENE = "box_room"
 CONTROL_HZ = 30

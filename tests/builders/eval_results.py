@@ -8,11 +8,11 @@ from typing import Any
 
 from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
-from factory.eval.policies.note import PolicyNote
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.publish import RESULTS_FILE, VIDEOS
 from factory.eval.results.score import Evaluation, score_policy
 from factory.eval.results.store import EvalManifest, Store
-from schemas.instruction.language import instruction
+from schemas.instruction.templates import instruction
 from schemas.terms import Split, Tier
 
 

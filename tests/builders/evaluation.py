@@ -18,7 +18,7 @@ from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.config import RobotConfig, TaskConfig
 from schemas.dataset.rows import summary_of
 from schemas.episode import EpisodeMeta
-from schemas.instruction.language import instruction
+from schemas.instruction.templates import instruction
 from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import encode_scene
@@ -27,7 +27,7 @@ from tests.builders.bundle import job_for
 from tests.builders.dataset import NOW
 from tests.builders.scene import box_room
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
 TASK, ROBOT = TaskConfig(control_hz=20), RobotConfig(physics_substeps=12, max_braking_mps2=4.0)

@@ -20,7 +20,7 @@ from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SceneRenderer
 
 _MANY = 300
 

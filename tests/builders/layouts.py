@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
 from factory.scenes.author.placement import FloorPlan, PropPlacement
+from factory.scenes.author.scene import BUILTIN_SCENES, lay_out_scene
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 from tests.builders.shared import build_once

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from sqlalchemy import select, update
 
-from coordinator.ledger import operator, outcomes
+from coordinator.ledger import administration, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.tables import episodes, jobs
 from schemas.protocol.messages import Lease
@@ -68,12 +68,12 @@ def _expire(timed_ledger: TimedLedger, held: list[Lease], rng: np.random.Generat
 
 def _cancel(timed_ledger: TimedLedger, held: list[Lease], rng: np.random.Generator) -> None:
     with timed_ledger.open() as connection:
-        operator.cancel(connection, [int(rng.integers(1, timed_ledger.plan.episodes))], timed_ledger.now)
+        administration.cancel(connection, [int(rng.integers(1, timed_ledger.plan.episodes))], timed_ledger.now)
 
 
 def _retry(timed_ledger: TimedLedger, held: list[Lease], rng: np.random.Generator) -> None:
     with timed_ledger.open() as connection:
-        operator.retry(connection, [], timed_ledger.now)
+        administration.retry(connection, [], timed_ledger.now)
 
 
 _CHANGES = {

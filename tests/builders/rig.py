@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factory.dataset.episode import Episode
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.registry import find_exporter
 from schemas.rig import (
     EquirectangularCamera,

@@ -15,8 +15,8 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.export.execution.estimate import estimate_export
+from factory.export.execution.export_run import ExportOrder, ExportProgress, run_export
 from factory.export.execution.manifest import MANIFEST_FILE, read_manifest
-from factory.export.execution.run import ExportOrder, ExportProgress, run_export
 from factory.export.output import WORK_FOLDER
 from factory.export.registry import EXPORTERS, find_exporter
 from schemas.errors import UsageError, WorldError
@@ -109,7 +109,7 @@ def test_an_interrupted_export_resumes(dataset: Path, reference: dict[str, Path]
 _HARD_TIMES = """
 import os, resource, signal, sys
 from pathlib import Path
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.registry import find_exporter
 from schemas.errors import WorldError
 

@@ -12,12 +12,12 @@ from schemas.job import Job
 from schemas.measure import Goal
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene
-from workers.experts.image_measures import measure_mask
+from workers.experts.observation import measure_mask
 from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.choose import open_renderer
-from workers.sim.predicted_path import predict_path
+from workers.sim.spawn import predict_path
 
 CAMERA = CameraConfig()
 TARGETS = {

@@ -12,7 +12,7 @@ import pytest
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
 from schemas.rig import Camera, CameraOutput, EquirectangularCamera, FisheyeCamera, Mount, PinholeCamera
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Sky
 from schemas.support.numpy_types import Floats
 from tests.builders.scene import Box, build_scene, room_walls

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from factory.scenes.author import BUILTIN_SCENES, PAPER_LAYOUTS, lay_out_scene
 from factory.scenes.author.placement import FloorPlan
+from factory.scenes.author.scene import BUILTIN_SCENES, PAPER_LAYOUTS, lay_out_scene
 from factory.scenes.navigation.occupancy import BAND_M
 from factory.scenes.rules import builtin_rules
 from schemas.terms import BUILTIN_CATEGORIES, PAPER_SCENES

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factory.scenes.author import BUILTIN_SCENES
+from factory.scenes.author.scene import BUILTIN_SCENES
 from factory.scenes.build import build_scene, package_path
 from factory.scenes.rules import builtin_rules
 from factory.scenes.topdown import encode_topdown
@@ -27,7 +27,7 @@ from tests.builders.shared import locked
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.grid import CONNECT_CLEARANCE_M, Grid
 from workers.geometry.pose import Pose
-from workers.render.cull import PartBounds, visible_parts
+from workers.render.visible_parts import PartBounds, visible_parts
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

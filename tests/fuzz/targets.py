@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from coordinator.protocol.protocol import parse
 from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.tables.table_reader import read_column, read_failed_attempts

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from factory.cli.main import cli
 from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from schemas.appearance import Appearance, ClutterRanges, MaterialRanges
-from schemas.appearance.file import load_appearance
+from schemas.appearance.appearance_file import load_appearance
 from schemas.config import CameraConfig
 from schemas.errors import InvalidPlan, UsageError
 from schemas.terms import Recording

@@ -14,18 +14,17 @@ from coordinator.expansion.catalog import read_entry
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from factory.bench.machine import StageRecorder
-from factory.bench.plan_size import enlarge
 from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.serve import bench_serve
 from factory.bench.reading.synthetic import make_synthetic
-from factory.bench.sample import BenchSample, first_attempts
 from factory.bench.service.coordinator import bench_coordinator
 from factory.bench.service.delivery import bench_delivery
 from factory.bench.simulation.memory import bench_memory
 from factory.bench.simulation.render import bench_render
 from factory.bench.simulation.rollout import bench_rollout
+from factory.bench.workload import BenchSample, enlarge, first_attempts
 from factory.dataset.reader import Dataset
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job
@@ -36,7 +35,7 @@ from tests.builders.dataset import make_dataset
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
 from workers.render.choose import open_renderer
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 LOOP = ["start", "render", "read-back", "control", "physics", "png rgb", "depth", "png ids", "bundle", "route"]
 LEAK_MIB = 20.0

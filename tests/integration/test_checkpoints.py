@@ -12,7 +12,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.ledger.tables import attempt_tallies, attempts, episodes, job_tallies, jobs
 from coordinator.ledger.tallies import attempt_counts, job_counts
 from coordinator.tables.checkpoint import Checkpoints, is_checkpoint_due, write_checkpoint
-from coordinator.tables.grouped_table import GROUP_ROWS
+from coordinator.tables.row_groups import GROUP_ROWS
 from tests.builders.ledger import TimedLedger, room_plan
 from tests.builders.ledger_changes import change_at_random, scatter
 from tests.builders.postgres import Postgres

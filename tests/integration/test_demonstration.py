@@ -11,7 +11,7 @@ import pytest
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig
-from schemas.instruction.language import instruction
+from schemas.instruction.templates import instruction
 from schemas.job import Job
 from schemas.scene import CompiledScene, encode_scene
 from schemas.terms import ExpertName, FailReason, SuccessMeasure, Tier
@@ -19,7 +19,7 @@ from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.experts.planner import STOPPED_M
 from workers.sim.attempt import AttemptFailure, Outcome, Success, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 ROOM = room_walls((-4.0, -3.0), (4.0, 3.0))
 RACK = Box((2.0, -1.3, 0.0), (2.8, 1.3, 2.0), (200, 30, 30), category="rack")

@@ -20,7 +20,7 @@ import click
 import pytest
 import yaml
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings

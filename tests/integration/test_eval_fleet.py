@@ -17,7 +17,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
 from factory.eval.models.result import Variant
-from factory.eval.process.run import Pace
+from factory.eval.process.local_campaign import Pace
 from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.eval.specs.campaign import Campaign
 from schemas.errors import TransientError, UsageError, WorldError

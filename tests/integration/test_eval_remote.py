@@ -18,7 +18,7 @@ from websockets.sync.server import ServerConnection, serve
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerUnreachable
 from factory.eval.models.messages import PolicyLimits
-from factory.eval.policies import make_policy
+from factory.eval.policies.registry import make_policy
 from factory.eval.policies.remote import RemotePolicy, WireError, pack, unpack
 from schemas.errors import UsageError
 

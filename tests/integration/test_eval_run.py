@@ -16,17 +16,16 @@ from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.models.spec import SpecSet
-from factory.eval.policies import renders_apart
-from factory.eval.process.run import run_campaign
+from factory.eval.policies.registry import renders_apart
+from factory.eval.process.local_campaign import run_campaign
 from factory.eval.results.publish import publish
 from factory.eval.results.store import EvalManifest, Store
-from factory.eval.specs.ablation import playback_sources
-from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.campaign import Campaign, playback_sources
 from factory.eval.specs.from_dataset import Places, specs_of_dataset
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
 from workers.geometry.slew import Twist
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 MINE = "tests.builders.policies"
 

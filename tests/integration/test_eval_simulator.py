@@ -15,7 +15,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.terms import EndReason, Split
 from workers.experts import make_expert
 from workers.geometry.slew import Twist
-from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SceneRenderer
 
 
 @pytest.fixture(scope="module")

@@ -17,15 +17,15 @@ from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import SpecSet
 from factory.eval.specs.unfiltered import unfiltered_specs
 from schemas.config import InstructionConfig
-from schemas.instruction.language import says_in_front
 from schemas.instruction.referents import ids_in_view
 from schemas.instruction.start_view import IN_FRONT_RAD
+from schemas.instruction.templates import says_in_front
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import encode_scene
 from schemas.terms import Split, Tier
 from tests.builders.dataset import NOW
 from tests.builders.scene import Box, build_scene, room_walls
-from workers.sim.scene_renderer import SceneRenderer, prepare_scene
+from workers.sim.context import SceneRenderer, prepare_scene
 
 LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
 RIGHT = Box((1.2, -1.5, 0.0), (1.8, -0.9, 0.6), (30, 30, 200), category="crate")

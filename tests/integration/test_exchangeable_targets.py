@@ -8,21 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.validation.language import said_findings
+from coordinator.validation.instruction_check import said_findings
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import RobotConfig, SpawnConfig, TaskConfig
-from schemas.instruction.language import FROM_START, instruction
 from schemas.instruction.start_view import StartView, TargetChoice
+from schemas.instruction.templates import FROM_START, instruction
 from schemas.job import Job
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, SuccessMeasure, Tier
 from tests.builders.attempts import first_success, loaded_renderer, write_package
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def _crate(x: float, y: float) -> Box:

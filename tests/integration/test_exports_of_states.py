@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.output import WORK_FOLDER
 from factory.export.registry import EXPORTERS, find_exporter
 from factory.export.rlds import rlds_metadata

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from coordinator.tables.table_reader import read_column, read_failed_attempts
 from factory.cli.main import _run
 from factory.dataset.reader import Dataset

@@ -24,7 +24,7 @@ from PIL import Image
 from coordinator.archive.opening import open_archive
 from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.registry import find_exporter
 from factory.export.vlnce.episode import from_habitat
 from schemas.scene import decode_scene

@@ -12,7 +12,7 @@ from sqlalchemy import select
 
 from coordinator.gateway.gather import GatherReport, gather
 from coordinator.gateway.service import Gateway
-from coordinator.ledger.gateway_episodes import gateways_by_episode
+from coordinator.ledger.archived import gateways_by_episode
 from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions

@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import select
 
 from coordinator.expansion.draw import to_job
-from coordinator.ledger.gateway_episodes import count_by_gateway
+from coordinator.ledger.archived import count_by_gateway
 from coordinator.ledger.opening import ledger_url_of, planned_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import jobs

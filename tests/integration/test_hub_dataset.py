@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from coordinator.tables.split_layout import THUMBNAIL
+from coordinator.tables.split_tables import THUMBNAIL
 from coordinator.tables.write import SIDE_COLUMN
 from schemas.dataset.rows import PUBLISHED_COLUMNS, EpisodeSummary
 from schemas.plan import PAPER_SPLITS

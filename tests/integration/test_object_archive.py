@@ -20,9 +20,8 @@ from coordinator.options import CoordinatorOptions
 from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.tables.card_configs import names_split_tables
-from coordinator.tables.split_faults import find_faults
-from coordinator.tables.split_layout import read_pictures, split_tables_of
+from coordinator.tables.card import names_split_tables
+from coordinator.tables.split_tables import find_faults, read_pictures, split_tables_of
 from coordinator.validation.validator import Validator
 from factory.dataset.reader import Dataset
 from factory.stats import measure_dataset

@@ -18,7 +18,7 @@ from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.tables.split_faults import find_faults
+from coordinator.tables.split_tables import find_faults
 from factory.dataset.reader import Dataset
 from schemas.protocol.address_file import read_address
 from schemas.storage.object_path import ObjectPath

@@ -12,11 +12,10 @@ import pytest
 
 from coordinator.archive.opening import open_archive
 from coordinator.gateway.gather import gather
-from coordinator.ledger.gateway_episodes import record_at_gateway
+from coordinator.ledger.archived import record_at_gateway
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.reconcile import reconcile
-from coordinator.recovery.repair_dataset import repair
-from coordinator.recovery.report import RepairReport
+from coordinator.recovery.repair_dataset import RepairReport, repair
 from coordinator.validation.validator import Validator
 from factory.cli.main import cli
 from factory.dataset.reader import Dataset

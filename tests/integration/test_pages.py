@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from factory.eval.models.result import EvalEnd
-from factory.eval.policies.note import PolicyNote
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.page import FailureExample, write_page
 from factory.eval.results.score import score_policy
 from factory.eval.results.video import draw_poster
 from factory.report import render_report
 from factory.report.figures import attempts, categories, samples
-from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
+from factory.report.make import PAGE_FILE
 from factory.visualize.film import write_mp4
 from tests.builders.browser import axe_violations, chromium, opened, overflow_px, why_no_chromium
 from tests.builders.dataset import make_dataset

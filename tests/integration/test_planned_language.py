@@ -7,21 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.validation.language import said_findings, sentence_findings
+from coordinator.validation.instruction_check import said_findings, sentence_findings
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import SpawnConfig, TaskConfig
-from schemas.instruction.language import FROM_START, instruction
+from schemas.instruction.templates import FROM_START, instruction
 from schemas.job import Job
-from schemas.language.file import LanguageSpec
 from schemas.language.instruction import Instruction, InstructionKind
-from schemas.language.question.model import QuestionKind
+from schemas.language.language_file import LanguageSpec
+from schemas.language.question.meaning import QuestionKind
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Recording, Split, Tier
 from tests.builders.attempts import first_success, loaded_renderer, write_package
 from tests.builders.bundle import job_for
 from tests.builders.language import furnished_scene
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 SCENE = furnished_scene()
 CHAIR, OTHER = SCENE.info.targets[:2]

@@ -12,7 +12,7 @@ from coordinator.validation.motion import motion_findings
 from schemas.config import CameraConfig, DemonstrationConfig, PlannerConfig, TaskConfig
 from schemas.job import Job
 from schemas.scene import CompiledScene
-from schemas.support.planar import footprint_distances, yaw_of
+from schemas.support.geometry import footprint_distances, yaw_of
 from schemas.terms import EndReason, ExpertName, SuccessMeasure, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, box_room
@@ -22,8 +22,8 @@ from workers.geometry.pose import Pose
 from workers.physics.world import ColliderMesh, World
 from workers.planning import geodesic_m
 from workers.render import DepthAndIds, RenderedFrame
+from workers.sim.context import prepare_scene
 from workers.sim.rollout import Drive, drive
-from workers.sim.scene_renderer import prepare_scene
 from workers.sim.spawn import draw_poses
 
 WALL = Box((0.8, -1.0, 0.0), (1.0, 3.0, 2.5))

@@ -16,7 +16,7 @@ import pytest
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from factory.eval.models.messages import PolicyLimits
-from factory.eval.policies import make_policy
+from factory.eval.policies.registry import make_policy
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import archive_drives
 from tests.builders.needs_torch import needs_torch

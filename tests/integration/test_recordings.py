@@ -12,7 +12,7 @@ import pytest
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.config import RobotConfig, TaskConfig
-from schemas.instruction.language import instruction
+from schemas.instruction.templates import instruction
 from schemas.job import Job
 from schemas.scene import encode_scene
 from schemas.support.stage_timer import StageTimer
@@ -20,7 +20,7 @@ from schemas.terms import ExpertName, Recording
 from tests.builders.bundle import job_for
 from tests.builders.scene import box_room
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 pytestmark = pytest.mark.gl
 PACKAGE = encode_scene(box_room())

@@ -26,8 +26,8 @@ from schemas.storage.place import digest_of
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.dataset import make_dataset
+from workers.sim.context import SceneRenderer
 from workers.sim.render_recording import render_recording
-from workers.sim.scene_renderer import SceneRenderer
 
 pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]

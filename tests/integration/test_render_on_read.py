@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from coordinator.tables.split_faults import find_faults
+from coordinator.tables.split_tables import find_faults
 from factory.dataset.reader import Dataset
 from factory.dataset.sampler import SceneSampler
 from factory.dataset.torch import ClipDataset, FrameDataset, collate

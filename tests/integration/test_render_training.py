@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.train.cache import open_cache
 from factory.train.frames import PictureSource, TrainingFrames
-from factory.train.rendered import render_frames
+from factory.train.pictures import open_cache, render_frames
 from schemas.errors import UsageError
 from schemas.terms import Recording
 from tests.builders.needs_torch import needs_torch

@@ -12,9 +12,8 @@ import pytest
 
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.reading.records import read_attempts
-from coordinator.recovery.repair_dataset import repair
-from coordinator.recovery.report import RepairReport
-from coordinator.tables.card_configs import names_split_tables
+from coordinator.recovery.repair_dataset import RepairReport, repair
+from coordinator.tables.card import names_split_tables
 from coordinator.validation.validator import Validator
 from schemas.errors import WorldError
 from tests.builders.archived import ArchivedRun

@@ -18,13 +18,12 @@ from factory.dataset.site import site_of
 from factory.runs.render import prepare_rendering
 from factory.runs.replay import replay_episode
 from factory.verify.dataset import verify
-from factory.verify.difference import RenderDifference
-from factory.verify.rendering import compare_rendered
+from factory.verify.rendering import RenderDifference, compare_rendered
 from schemas.dataset.meta import DATASET_FORMAT, described_by
 from schemas.encoding.container import ContainerWriter
 from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import InvalidRig, UsageError
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from schemas.storage.dataset_files import META_FILE
 from schemas.terms import Recording
 from tests.builders.rigs import write_rig

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.eval.driving.rig_sensors import live_arrays, shows_recorded_camera
+from factory.eval.driving.live_view import live_arrays, shows_recorded_camera
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.models.spec import SpecSet
-from factory.eval.policies import require_inputs
-from factory.eval.process.run import run_campaign
+from factory.eval.policies.registry import require_inputs
+from factory.eval.process.local_campaign import run_campaign
 from factory.eval.results.publish import RESULTS_FILE, publish
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign
@@ -24,7 +24,7 @@ from factory.gym.env import MiniVLANavEnv
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
 from schemas.rig import Rig
-from schemas.rig.file import paper_rig
+from schemas.rig.rig_file import paper_rig
 from schemas.terms import Split
 from schemas.view import ViewSettings
 from tests.builders.policies import Looks, Scans

@@ -20,7 +20,7 @@ from PIL import Image
 
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
-from factory.export.lerobot.depth_code import DepthCode
+from factory.export.lerobot.features import DepthCode
 from factory.export.output import WORK_FOLDER
 from factory.export.registry import EXPORTERS, find_exporter
 from factory.export.video import read_video

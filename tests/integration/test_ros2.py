@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from factory.cli.publish.export import command
 from factory.dataset.reader import Dataset
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.mcap.ros2_cdr import encode
 from factory.export.mcap.ros2_messages import LATCHED, ROS2_TOPICS
 from factory.export.options import START_TIME_S, McapOptions

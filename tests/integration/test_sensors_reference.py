@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 
 from factory.scenes.build import build_scene as build_package
 from schemas.config import CameraConfig, RobotConfig
-from schemas.rig.file import load_rig
-from schemas.rig.motion import WheelOdometry
-from schemas.rig.mount import Mount
-from schemas.rig.ranging import Lidar3d
+from schemas.rig.rig_file import load_rig
+from schemas.rig.sensors import Lidar3d, Mount, WheelOdometry
 from schemas.scene import CompiledScene, read_scene
 from schemas.terms import PAPER_SCENES
 from tests.builders.scene import box_room

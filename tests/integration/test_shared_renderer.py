@@ -16,7 +16,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from factory.dataset.packages import ScenePackage
-from factory.dataset.rendering.shared_renderer import KEPT_SCENES, SharedRenderer, View
+from factory.dataset.rendering import KEPT_SCENES, SharedRenderer, View
 from schemas.config import CameraConfig
 from schemas.errors import WorldError
 from schemas.scene import encode_scene

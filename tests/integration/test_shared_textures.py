@@ -13,14 +13,14 @@ from coordinator.validation.validator import Validator
 from factory.commands.farm.submit import _copy_scenes
 from factory.dataset.packages import ScenePackage, find_package_file
 from factory.push.files import plan_push
-from factory.relabel.run import relabel
+from factory.relabel.relabel_dataset import relabel
 from factory.runs.catalog import open_catalog
 from factory.scenes.build import package_path
 from factory.verify.dataset import verify
+from factory.verify.findings import Kind
 from factory.verify.repair_input import inspect_dataset
-from factory.verify.report import Kind
 from schemas.errors import ArchiveCorrupt
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.scene import TextureFile, encode_layout, read_geometry, read_scene
 from schemas.scene.files import faulty_textures
 from schemas.scene.info import texture_file

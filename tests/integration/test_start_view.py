@@ -24,7 +24,7 @@ from tests.builders.scene import Box, build_scene, room_walls
 from workers.geometry.pose import Pose
 from workers.render import PartialRenderer
 from workers.sim.attempt import AttemptFailure, Success, is_view_clear, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
 RIGHT = Box((1.2, -1.5, 0.0), (1.8, -0.9, 0.6), (30, 30, 200), category="crate")

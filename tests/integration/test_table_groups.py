@@ -12,9 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.tables import grouped_table
-from coordinator.tables.grouped_table import GROUP_ROWS, ListedRows
-from coordinator.tables.row_groups import RowGroupWriter
+from coordinator.tables import row_groups
+from coordinator.tables.row_groups import GROUP_ROWS, ListedRows, RowGroupWriter
 from coordinator.tables.write import DatasetTables, TableChanges, TableContent
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt, summary_of
@@ -175,4 +174,4 @@ def test_a_table_of_no_rows_can_be_read(tmp_path):
 
 
 def test_a_group_contains_a_range_of_plan_indices():
-    assert grouped_table.GROUP_ROWS == 2000  # changing it changes the bytes of every dataset
+    assert row_groups.GROUP_ROWS == 2000  # changing it changes the bytes of every dataset

@@ -9,8 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.tables.split_faults import find_faults
-from coordinator.tables.split_tables import write_split_tables
+from coordinator.tables.split_tables import find_faults, write_split_tables
 from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import FactoryCli

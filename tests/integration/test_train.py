@@ -17,9 +17,9 @@ from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from factory.eval.models.messages import PolicyLimits
-from factory.eval.policies import find_policy, make_policy
+from factory.eval.policies.registry import find_policy, make_policy
+from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
 from factory.train.options import BcOptions
-from factory.train.run import TrainCallbacks, TrainOrder, train_bc
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import install_command
 from tests.builders.dataset import make_dataset

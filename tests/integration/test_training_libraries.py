@@ -19,7 +19,7 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import EvalEnd, Variant
-from factory.eval.process.run import run_campaign
+from factory.eval.process.local_campaign import run_campaign
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset

@@ -12,7 +12,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
-from factory.verify.report import Kind, VerifyReport
+from factory.verify.findings import Kind, VerifyReport
 from schemas.bundle import BundleReader, BundleWriter
 from schemas.errors import UsageError
 from schemas.instruction.start_view import StartView

@@ -18,16 +18,16 @@ import pytest
 from sqlalchemy import update
 
 from coordinator.ledger import hosts
-from coordinator.ledger.host_memory import write_memory
+from coordinator.ledger.hosts import write_memory
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.tables import LEDGER_FORMAT, jobs
 from factory.dataset.reader import Dataset
-from factory.dataset.rendering.shared_renderer import shared_renderer
+from factory.dataset.rendering import shared_renderer
 from factory.eval.models.result import Variant
 from factory.eval.results.compare import compare
-from factory.relabel.route import STEPS_SCHEMA
+from factory.relabel.part import STEPS_SCHEMA
 from factory.web.pages.episodes import prepare_scenes
-from schemas.language.route.model import RouteStep
+from schemas.language.route.meaning import RouteStep
 from schemas.plan import Plan
 from schemas.protocol.messages import Hello, HostMemory
 from schemas.storage.dataset_files import STEPS_FILE

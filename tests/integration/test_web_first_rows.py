@@ -16,13 +16,12 @@ from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.web.access import Access
 from factory.web.app import create_app
-from factory.web.current_table import CurrentTable
 from factory.web.figures.store import StatisticsStore
-from factory.web.first_rows import read_first_rows
 from factory.web.pages.episodes import LARGE_ROWS
 from factory.web.server import WebServer
 from factory.web.start import make_context
-from factory.web.workspace import Workspace
+from factory.web.table import read_first_rows
+from factory.web.workspace import CurrentTable, Workspace
 from schemas.protocol.administration import AdminReply, AdminRequest
 from tests.builders.dataset import make_dataset
 from tests.builders.web import WebClient

@@ -9,7 +9,7 @@ from factory.dataset.reader import Dataset
 from factory.report.figures.registry import DRAW_FUNCTIONS
 from factory.report.gather import gather
 from factory.support.settings import cache_directory
-from factory.web.figures.drawing import draw_statistics
+from factory.web.figures.process import draw_statistics
 from factory.web.figures.store import StatisticsStore
 from tests.builders.dataset import make_dataset
 from tests.builders.web import WebClient, web_page

@@ -4,9 +4,8 @@ Pure functions.
 """
 
 from workers.appearance.apply import apply_appearance, clutter_instances
-from workers.appearance.cameras import changed_camera, changed_sensor, recorded_camera
+from workers.appearance.cameras import ShiftedRenderer, changed_camera, changed_sensor, recorded_camera
 from workers.appearance.draw import AppearanceScene, draw_appearance
-from workers.appearance.shifted import ShiftedRenderer
 
 __all__ = [
     "AppearanceScene",

@@ -17,7 +17,7 @@ from schemas.appearance.light_groups import LightGroups
 from schemas.errors import WorldError
 from schemas.scene import MAX_INSTANCES, MAX_TEXTURES, CompiledScene, Instance, SceneInfo
 from schemas.support.numpy_types import Floats
-from workers.appearance.clutter_shapes import RADII, SHADOW_RINGS, shape_of
+from workers.appearance.clutter import RADII, SHADOW_RINGS, shape_of
 from workers.appearance.floor import FloorTriangle, FloorUnder
 from workers.appearance.materials import planar_uvs
 from workers.appearance.patterns import draw_pattern

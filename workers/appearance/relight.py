@@ -19,8 +19,8 @@ from schemas.support.numpy_types import Singles
 LAMP_K, SKY_K = 4000.0, 6500.0
 """Neutral colour temperatures of lamps and sky, kelvin: light of these temperatures keeps its compiled colour."""
 _WHITE, _GAMMA = 3.0, 2.2
-"""Parameters of the tone curve of light maps (`factory.scenes.light.tone`): the light that the curve maps to 1, and its
-gamma."""
+"""Parameters of the tone curve of light maps (`factory.scenes.light.smooth`): the light that the curve maps to 1, and
+its gamma."""
 _WHITE_BALANCE = 0.5
 """Share of a change of colour, measured in stops, that the white balance of the camera compensates."""
 _STEPS = 8192

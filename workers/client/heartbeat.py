@@ -1,4 +1,4 @@
-"""Heartbeat of a worker: reports the leases of all slots and of the spool, and applies the coordinator's reply.
+"""Heartbeat of a worker: reports leases, spool and free memory, and applies the coordinator's reply.
 
 Also detects an unreachable coordinator and opens the link again. Does not claim jobs and does not simulate.
 """
@@ -7,14 +7,43 @@ from __future__ import annotations
 
 import time
 from importlib.metadata import version
+from pathlib import Path
 
 import structlog
 
 from schemas.protocol.keys import Verb
-from schemas.protocol.messages import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloReply, LeaseProgress, RunKind
+from schemas.protocol.messages import (
+    MAX_LEASES,
+    Ack,
+    Beat,
+    BeatReply,
+    Done,
+    Hello,
+    HelloReply,
+    HostMemory,
+    LeaseProgress,
+    RunKind,
+)
 from workers.client.host import Host
-from workers.client.memory import read_memory
 from workers.client.spool import Spooled
+
+_KIB = 1024
+
+
+def read_memory(path: Path = Path("/proc/meminfo")) -> HostMemory | None:
+    """Returns the memory of the host; `None` if the system does not report it.
+
+    Args:
+        path: file in the format of Linux' `/proc/meminfo`.
+    """
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+        sizes = {name: int(rest.split()[0]) * _KIB for name, _, rest in (line.partition(":") for line in lines)}
+        total = sizes["MemTotal"]
+        return HostMemory(used_bytes=max(0, total - sizes["MemAvailable"]), total_bytes=total)
+    except (OSError, ValueError, KeyError, IndexError):
+        return None
+
 
 _HURRIED_S = 0.25
 _REOPEN_S = 10.0

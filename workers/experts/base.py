@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 from schemas.scene import Target
-from workers.experts.image_measures import MaskMeasures
+from workers.experts.observation import MaskMeasures
 from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
-from schemas.rig.mount import Mount
+from schemas.rig.sensors import Mount
 from schemas.support.portable import product
 from workers.geometry.pose import Pose
 

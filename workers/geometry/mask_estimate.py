@@ -45,7 +45,7 @@ class MaskEstimate:
     def evaluate(self, x: float, y: float, yaw: float) -> tuple[float, float]:
         """Returns an estimate of the size and mean column of the target's mask.
 
-        `workers.experts.image_measures` computes the exact values from a rendered image.
+        `workers.experts.observation` computes the exact values from a rendered image.
 
         Args:
             x: x of base_link in the world, metres.

@@ -27,12 +27,12 @@ from workers.geometry.faces import Face, FacePlan
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame, Window
 from workers.render.compose import compose_image
-from workers.render.cull import edges_of
 from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.gl_textures import TextureStore
 from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.sky import SkyPainter
+from workers.render.visible_parts import edges_of
 
 _KEPT_TARGETS = 16
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}

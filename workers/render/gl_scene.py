@@ -15,10 +15,9 @@ from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.camera import OpticalPose, Perspective
 from workers.render import Window
-from workers.render.cull import Edges, PartBounds, may_reach, visible_parts, window_of_corners
 from workers.render.gl_textures import TextureStore
-from workers.render.occlude import Occluders
 from workers.render.shaders import BARE, NORMALS, PLAIN, TEXTURED, VERTEX, ShaderPair
+from workers.render.visible_parts import Edges, Occluders, PartBounds, may_reach, visible_parts, window_of_corners
 
 _TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])

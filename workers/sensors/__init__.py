@@ -4,7 +4,7 @@ Pure functions on arrays; noise depends on seed, episode, sensor and control ste
 nothing.
 """
 
-from workers.sensors.cameras import colour_steps, sense_colour, sense_depth
+from workers.sensors.images import colour_steps, sense_colour, sense_depth
 from workers.sensors.imu import ImuMeasurements, sense_imu
 from workers.sensors.lidar import LidarScan, points_of, sense_lidar
 from workers.sensors.observation import CameraObservation

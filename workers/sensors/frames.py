@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.rig.mount import Mount
+from schemas.rig.sensors import Mount
 from schemas.support.numpy_types import Floats
 from workers.geometry.camera import mount_rotation
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.rig.motion import Imu
 from schemas.rig.noise import ImuNoise
+from schemas.rig.sensors import Imu
 from schemas.support.numpy_types import Floats, Singles
 from schemas.support.portable import arctan2
 from workers.geometry.camera import mount_rotation

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.rig.noise import LidarNoise
-from schemas.rig.ranging import Lidar2d, Lidar3d
+from schemas.rig.sensors import Lidar2d, Lidar3d
 from schemas.support.numpy_types import Floats, Singles
 from schemas.support.portable import cos, sin
 from workers.sensors.frames import poses_at, sensor_poses, turned

@@ -17,8 +17,8 @@ from workers.geometry.camera import mounted_pose
 from workers.geometry.lens import axial_share, optical_flow
 from workers.geometry.pose import Pose
 from workers.render import CameraImage
-from workers.sensors.cameras import colour_steps, sense_colour, sense_depth
 from workers.sensors.frames import poses_at
+from workers.sensors.images import colour_steps, sense_colour, sense_depth
 from workers.sensors.imu import ImuMeasurements, sense_imu
 from workers.sensors.lidar import LidarScan, RayCaster, sense_lidar
 from workers.sensors.odometry import OdometryMeasurements, sense_odometry

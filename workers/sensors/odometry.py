@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.rig.motion import WheelOdometry
 from schemas.rig.noise import OdometryNoise
+from schemas.rig.sensors import WheelOdometry
 from schemas.support.numpy_types import Floats, Ints
 from schemas.support.portable import cos, sin
 from workers.sensors.streams import Effect, NoiseKey

@@ -15,7 +15,7 @@ from schemas.job import Job
 from schemas.scene import Instance
 from workers.appearance import ShiftedRenderer, apply_appearance, draw_appearance
 from workers.render import Renderer
-from workers.sim.scene_renderer import LoadedScene
+from workers.sim.context import LoadedScene
 
 
 class RenderedScene(NamedTuple):

@@ -23,13 +23,11 @@ from workers.experts import Expert, make_expert
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.sim.aim import EpisodeAim, ends_in_view, find_aim, is_view_clear, start_target
+from workers.sim.aim import EpisodeAim, ends_in_view, find_aim, is_view_clear, start_target, write_questions
 from workers.sim.appearance import show_appearance
-from workers.sim.frames import add_frames, add_sampled_digests
-from workers.sim.language import write_questions
+from workers.sim.context import LoadedScene, SceneRenderer
+from workers.sim.recording import LoadedSurroundings, add_frames, add_measurements, add_sampled_digests
 from workers.sim.rollout import Drive, drive
-from workers.sim.scene_renderer import LoadedScene, SceneRenderer
-from workers.sim.sensors import LoadedSurroundings, add_measurements
 from workers.sim.spawn import draw_poses, is_spawn_stable
 
 _NO_DIGEST = "0" * 32

@@ -17,9 +17,8 @@ from schemas.terms import Recording
 from workers.render.differing import differing_frame
 from workers.sim.appearance import show_appearance
 from workers.sim.attempt import Success
-from workers.sim.frames import add_frames
-from workers.sim.scene_renderer import SceneRenderer
-from workers.sim.sensors import LoadedSurroundings, add_measurements
+from workers.sim.context import SceneRenderer
+from workers.sim.recording import LoadedSurroundings, add_frames, add_measurements
 
 
 def render_recording(

@@ -30,8 +30,8 @@ from schemas.terms import FailReason
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure, to_line
 from workers.process.pipes import listen, take_stdout
 from workers.sim.attempt import AttemptFailure, run_attempt
+from workers.sim.context import SceneRenderer
 from workers.sim.render_recording import render_recording
-from workers.sim.scene_renderer import SceneRenderer
 
 _PROGRESS_S = 0.25
 _KEPT_SCENES = 1

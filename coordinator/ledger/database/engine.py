@@ -1,8 +1,8 @@
 """Opens the ledger's database by URL, with one writing engine or with read-only engines.
 
 SQLite transactions are durable and exclusive from the first statement. An advisory lock ensures that a PostgreSQL
-database has one writer. The module contains all code that is specific to SQLite; it creates no table and runs no query
-on the ledger's tables.
+database has one writer. A digest of a closed SQLite ledger (`ledger.digest`) spares the next start its audit. The
+module contains all code that is specific to SQLite; it creates no table and runs no query on the ledger's tables.
 """
 
 from __future__ import annotations
@@ -13,9 +13,12 @@ import os
 import sqlite3
 import stat
 import time
+from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import xxhash
 from sqlalchemy import Engine, create_engine, event, make_url, text
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
@@ -23,6 +26,40 @@ from sqlalchemy.pool import NullPool
 
 from schemas.errors import UsageError, WorldError
 from schemas.storage.mounts import MOUNTS, mount_of
+
+_SUFFIX = ".digest"
+_PIECE_BYTES = 1 << 20
+
+
+def write_closed_digest(url: str) -> None:
+    """Records the digest of a closed ledger, unless it has a write-ahead log, which the digest does not cover."""
+    with contextlib.suppress(OSError):  # without the digest, the next start audits the ledger
+        for file in _whole_file(url):
+            file.with_suffix(_SUFFIX).write_text(_digest(file))
+
+
+def is_unchanged(url: str) -> bool:
+    """Returns whether a ledger is unchanged since this version of the software closed it."""
+    try:
+        return any(file.with_suffix(_SUFFIX).read_text() == _digest(file) for file in _whole_file(url))
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def _whole_file(url: str) -> Iterator[Path]:
+    """Yields the database file, if it exists and its write-ahead log is missing or empty."""
+    files = sqlite_files(url)
+    if files and not any(path.name.endswith("-wal") and path.stat().st_size for path in files):
+        yield files[-1]
+
+
+def _digest(file: Path) -> str:
+    digest = xxhash.xxh3_128(version("minivla-factory").encode())
+    with file.open("rb") as stream:
+        while piece := stream.read(_PIECE_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()
+
 
 _EXAMPLES = "examples: sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61

@@ -13,10 +13,10 @@ from typing import Any
 from sqlalchemy import ColumnElement, Integer, cast, func, select
 from sqlalchemy.engine import Connection
 
+from coordinator.ledger.administration import RecordedRequest, read_requests
 from coordinator.ledger.claims import HELD_STATES
-from coordinator.ledger.host_memory import read_memory
+from coordinator.ledger.hosts import read_memory
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.requests import RecordedRequest, read_requests
 from coordinator.ledger.states import event_name
 from coordinator.ledger.tables import BUILD, attempts, events, jobs, workers
 from coordinator.ledger.tallies import job_counts

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, Row, Select, Subquery, func, select
 from sqlalchemy.engine import Connection
 
+from coordinator.ledger.administration import is_paused
+from coordinator.ledger.archived import count_by_gateway
 from coordinator.ledger.claims import HELD_STATES, has_open_jobs
-from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.requests import is_paused
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import episodes, jobs, workers
 from coordinator.ledger.tallies import attempt_counts, build_counts, job_counts

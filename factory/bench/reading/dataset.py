@@ -23,9 +23,9 @@ from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.tables.checkpoint import Checkpoints
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
-from factory.bench.model import Machine, Memory
+from factory.bench.results import Machine, Memory
 from factory.dataset.reader import Dataset
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from factory.verify.dataset import verify
 from schemas.base import Model
 

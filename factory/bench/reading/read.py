@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
-from factory.bench.model import ReadBench, Spread
+from factory.bench.results import ReadBench, Spread
 from factory.dataset.episode import Episode, Frame
 from factory.dataset.reader import Dataset
 from factory.dataset.torch import FrameDataset, collate

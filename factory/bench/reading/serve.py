@@ -19,7 +19,7 @@ import numpy as np
 
 from factory.bench.machine import describe_machine
 from factory.bench.measured_process import measured_process
-from factory.bench.model import Machine, Spread
+from factory.bench.results import Machine, Spread
 from factory.dataset.reader import Dataset
 from schemas.base import Model
 from schemas.errors import WorldError

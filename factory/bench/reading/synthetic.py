@@ -27,7 +27,7 @@ from coordinator.ledger.reading.reader import Connection
 from coordinator.ledger.tables import episodes
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
-from factory.bench.sample import BenchSample
+from factory.bench.workload import BenchSample
 from schemas.bundle import BundleReader, EpisodeArrays
 from schemas.dataset.rows import EpisodeSummary, file_name_of, summary_of
 from schemas.encoding.arrays import EPISODE_ARRAYS

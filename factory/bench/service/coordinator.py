@@ -23,9 +23,9 @@ from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.validation.validator import Validator
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
-from factory.bench.model import CoordinatorBench, Spread
-from factory.bench.sample import BenchSample
+from factory.bench.results import CoordinatorBench, Spread
 from factory.bench.service.wire import bench_wire
+from factory.bench.workload import BenchSample
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.episode import EpisodeMeta

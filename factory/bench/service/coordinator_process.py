@@ -12,14 +12,13 @@ import structlog
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.options import CoordinatorOptions
+from coordinator.protocol.bundles import BundleFile, Scope, check_each
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.validation.bundle_file import BundleFile, check_each
-from coordinator.validation.scope import Scope
 from coordinator.validation.validator import Validator
 from factory.bench.machine import cpu_s_of_children, measure_memory, resident_mib
-from factory.bench.model import Memory
-from factory.bench.sample import BenchSample
+from factory.bench.results import Memory
+from factory.bench.workload import BenchSample
 from factory.support.logs import configure_logs
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary, summary_of

@@ -11,16 +11,16 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, to_job
+from coordinator.ledger.archived import count_unchecked
 from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
-from coordinator.ledger.unchecked import count_unchecked
 from coordinator.settings import CoordinatorSettings
 from factory.bench.machine import describe_machine
-from factory.bench.sample import BenchSample
+from factory.bench.results import DeliveryBench, DeliveryCost, DeliveryPace
 from factory.bench.service.coordinator_process import CoordinatorReady, serve_archive
 from factory.bench.service.delivery_fleet import RecordedBundle, deliver_copies
-from factory.bench.service.delivery_model import DeliveryBench, DeliveryCost, DeliveryPace
 from factory.bench.service.wire import process, receive, usage
+from factory.bench.workload import BenchSample
 from schemas.episode_spec import EpisodeSpec
 from schemas.plan import Plan
 

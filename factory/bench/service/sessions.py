@@ -24,8 +24,8 @@ from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from factory.bench.machine import describe_machine
+from factory.bench.results import SessionsBench, VerbLoad
 from factory.bench.service.coordinator import archiving
-from factory.bench.service.delivery_model import SessionsBench, VerbLoad
 from schemas.base import Model
 from schemas.episode import EpisodeMeta
 from schemas.plan import Plan

@@ -18,8 +18,8 @@ from pathlib import Path
 
 from factory.bench.machine import describe_machine
 from factory.bench.measured_process import measured_process
-from factory.bench.model import Machine, Spread
 from factory.bench.reading.serve import ask_page, cpu_s_of, open_tab
+from factory.bench.results import Machine, Spread
 from factory.bench.service.attack import flood, slow_clients
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site, site_of

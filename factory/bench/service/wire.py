@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coordinator.expansion.catalog import Catalog
-from factory.bench.model import DeliveryLoad, SessionLoad, Spread, WireBench
+from factory.bench.results import DeliveryLoad, SessionLoad, Spread, WireBench
 from factory.bench.service.coordinator_process import CoordinatorReady, CoordinatorUsage, serve_coordinator
 from factory.bench.service.fleet import (
     WorkCost,

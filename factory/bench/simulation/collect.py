@@ -15,7 +15,7 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.settings import CoordinatorSettings
-from factory.bench.model import CollectPace, Spread
+from factory.bench.results import CollectPace, Spread
 from factory.runs.local import LocalRun, run_locally
 from schemas.errors import WorldError
 from schemas.plan import Plan

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 from coordinator.expansion.catalog import Catalog
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
-from factory.bench.model import MemoryBench
+from factory.bench.results import MemoryBench
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import FailReason

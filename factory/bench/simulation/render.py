@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from factory.bench.machine import StageRecorder, StageTimes, stage_costs
-from factory.bench.model import SceneRender, Spread, StageCost
-from factory.dataset.rendering.antialias import shrink_frame
+from factory.bench.results import SceneRender, Spread, StageCost
+from factory.dataset.rendering import shrink_frame
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
 from workers.render import RenderedFrame, Renderer
-from workers.render.cull import PartBounds, visible_parts
+from workers.render.visible_parts import PartBounds, visible_parts
 
 _SEED = 20
 

@@ -1,33 +1,98 @@
 """Benchmarks the complete loop of a simulation process: physics, control, rendering, encoding, bundle.
 
-Every repetition runs the same jobs; the bundles are discarded. The plain PyBullet pipeline uses the same poses.
+Every repetition runs the same jobs; the bundles are discarded. For comparison, a plain PyBullet pipeline as in the
+PyBullet quick-start guide renders the same scene and poses: a static body per part, `getCameraImage` with TinyRenderer,
+PNG by Pillow, and `np.save`.
 """
 
 from __future__ import annotations
 
+import io
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
 from factory.bench.machine import StageRecorder, StageTimes, measure_memory, reset_peak, resident_mib, stage_costs
-from factory.bench.model import Memory, SceneRollout, Spread, StageCost
-from factory.bench.simulation.baseline import run_baseline
+from factory.bench.results import Memory, PlainPace, SceneRollout, Spread, StageCost
 from schemas.bundle import BundleReader
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import InvalidBundle, WorldError
 from schemas.job import Job
+from schemas.scene import CompiledScene
+from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
+from workers.physics.mesh_lists import mesh_lists
+from workers.physics.world import ColliderMesh, World
+from workers.render.tiny import TinyScene
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
+
+
+def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
+    """Generates frames, each after one physics step, and returns the rates.
+
+    Args:
+        scene: Scene.
+        job: Job with the robot and the camera.
+        poses: Poses of one or more episodes, in order. The frames use `frames` of them, evenly spread.
+        frames: Number of timed frames, which follow one warm-up frame.
+    """
+    chosen = [poses[round(k)] for k in np.linspace(0, len(poses) - 1, frames)]
+    recorder = StageRecorder()
+    collider = _one_body_a_part(scene)
+    with World(scene, collider, job.robot, job.task.control_hz) as world, closing(TinyScene(scene)) as shown:
+        _make_frame(world, shown, job, chosen[0], recorder)
+        recorder.start()
+        wall, cpu = time.perf_counter(), time.process_time()
+        for pose in chosen:
+            _make_frame(world, shown, job, pose, recorder)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    stages = {stage: 1000 * seconds / frames for stage, (seconds, _) in recorder.take().items()}
+    return PlainPace(frames=frames, frames_per_s=frames / wall, frames_per_cpu_s=frames / cpu, stages=stages)
+
+
+def _one_body_a_part(scene: CompiledScene) -> ColliderMesh:
+    return ColliderMesh(
+        tuple(
+            piece
+            for first, count in zip(scene.part_first.tolist(), scene.part_count.tolist(), strict=True)
+            for piece in mesh_lists(
+                scene.positions[first : first + count], np.arange(count, dtype=np.int32).reshape(-1, 3)
+            )
+        )
+    )
+
+
+def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, recorder: StageRecorder) -> None:
+    world.place(pose.x, pose.y, pose.yaw)
+    world.step()
+    recorder("physics")
+    view, projection = view_matrix(optical_pose(pose, job.camera)), projection_matrix(job.camera)
+    image = shown.client.camera_image(FRAME_SIZE_PX, FRAME_SIZE_PX, view, projection, is_lit=True)
+    recorder("getCameraImage")
+    _save_png(image.rgba[:, :, :3])
+    recorder("Pillow RGB")
+    _save_png(image.bodies.astype(np.uint16))
+    recorder("Pillow ids")
+    np.save(io.BytesIO(), image.depth)
+    recorder("np.save depth")
+
+
+def _save_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    Image.fromarray(image).save(io.BytesIO(), "PNG")
+
 
 StepCallback = Callable[[], None]
 """Called after every attempt."""

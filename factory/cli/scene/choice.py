@@ -44,7 +44,7 @@ seed_option = count_option("--seed", 0, "Random seed of the layout of a built-in
 
 def complete_scene(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
     """Completes the name of a built-in or imported scene, or a file."""
-    from factory.runs.imported import find_imported
+    from factory.runs.scene_packages import find_imported
     from factory.support.settings import scene_cache
 
     known = [*BUILTIN_CATEGORIES, *find_imported(scene_cache())]

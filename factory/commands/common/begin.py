@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from coordinator.ledger.opening import require_plan
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.dataset.site import Site

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from factory.commands.common.bars import Bars
 from factory.commands.common.gate_mode import GATE_ATTEMPTS, MIN_EPISODES_FOR_GATE, MIN_SUCCESS, GateMode
 from factory.commands.common.output import print_table, stderr
@@ -22,7 +22,7 @@ from workers.client.settings import WorkerSettings
 
 if TYPE_CHECKING:
     from factory.runs.gate import GateReport
-    from factory.stats.model import Share
+    from factory.stats.statistics import Share
 
 
 def gate_plans(plan: Plan, mode: GateMode) -> Iterator[Plan]:

@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 from coordinator.expansion.cells import empty_splits
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from schemas.plan import Plan
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from schemas.terms import ExpertName, Recording
 
 

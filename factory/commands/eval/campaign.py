@@ -12,22 +12,20 @@ from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn,
 
 from factory.commands.common.bars import Bars, one_bar
 from factory.dataset.reader import Dataset
-from factory.eval.driving.appearance import live_appearance
-from factory.eval.driving.rig_sensors import require_live
+from factory.eval.driving.live_view import live_appearance, require_live
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet, read_specs
-from factory.eval.policies import check_name, require_available
-from factory.eval.process.run import Pace
+from factory.eval.policies.registry import check_name, require_available
+from factory.eval.process.local_campaign import Pace
 from factory.eval.results.publish import publish
 from factory.eval.results.score import Evaluation
 from factory.eval.results.store import EvalManifest, Store
-from factory.eval.specs.ablation import ABLATIONS
-from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.campaign import ABLATIONS, Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.appearance import Appearance
 from schemas.errors import UsageError
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from schemas.terms import RendererKind, Split
 from schemas.view import ViewSettings
 

@@ -17,7 +17,7 @@ from factory.commands.common.output import print_result
 from factory.commands.eval.campaign import EvalOptions, make_campaign, open_store, pace_bars, published
 from factory.commands.eval.tables import print_evaluation
 from factory.dataset.reader import Dataset
-from factory.eval.process.run import run_campaign
+from factory.eval.process.local_campaign import run_campaign
 from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.eval.results.publish import evaluation_of
 from factory.eval.results.score import Evaluation

@@ -17,7 +17,7 @@ from factory.eval.specs.unfiltered import unfiltered_specs
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 from schemas.terms import Split
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def execute(

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from coordinator.gateway.gather import GatherReport, gather
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.recovery.join_shards import JoinReport, JoinTarget, join_shards, require_joinable

@@ -13,8 +13,7 @@ import click
 
 from coordinator.archive.contract import scene_file
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.file import load_plan
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import load_plan, plan_to_toml
 from factory.commands.common.output import print_building, print_json
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.keys import admit, create_authority

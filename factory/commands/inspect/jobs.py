@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from coordinator.expansion.file import scene_of
+from coordinator.expansion.plan_file import scene_of
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.reading.records import JobFilter, JobRecord, count_jobs, list_jobs, read_attempts, read_events
 from coordinator.ledger.states import JobState

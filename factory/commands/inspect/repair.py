@@ -6,10 +6,9 @@ from datetime import UTC, datetime
 
 import click
 
-from coordinator.expansion.file import load_plan
-from coordinator.recovery.repair_dataset import repair
-from coordinator.recovery.report import RepairReport
-from coordinator.recovery.stray_files import count_plans
+from coordinator.expansion.plan_file import load_plan
+from coordinator.recovery.repair_dataset import RepairReport, repair
+from coordinator.recovery.survey import count_plans
 from coordinator.validation.validator import Validator
 from factory.commands.common.bars import one_bar
 from factory.commands.common.output import print_building, print_result, print_table

@@ -13,14 +13,14 @@ from factory.commands.common.episode_names import episode_path
 from factory.commands.common.output import print_json
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.steps import read_steps
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
 from factory.visualize.panels import draw_contact_sheet
 from factory.visualize.rig_sheet import draw_rig_sheet
 from schemas.bundle import BundleReader
 from schemas.errors import UsageError
 from schemas.rig import Imu, WheelOdometry
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from schemas.scene import CompiledScene, read_geometry
 from schemas.storage.disk import translated
 from schemas.storage.place import Place

@@ -9,7 +9,7 @@ import click
 from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result, print_table, print_text
 from factory.stats import measure_dataset, paper
-from factory.stats.model import (
+from factory.stats.statistics import (
     AttemptRow,
     CountRow,
     ErrorRow,

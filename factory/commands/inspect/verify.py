@@ -10,7 +10,7 @@ from factory.commands.common.bars import one_bar
 from factory.commands.common.output import print_json, print_table
 from factory.support.logs import configure_logs
 from factory.verify.dataset import VerifyReport, verify
-from factory.verify.difference import RenderDifference
+from factory.verify.rendering import RenderDifference
 from schemas.storage.place import Place
 
 

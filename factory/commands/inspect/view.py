@@ -10,7 +10,7 @@ from factory.commands.common.bars import Bars
 from factory.commands.common.episode_names import episode_index
 from factory.commands.common.output import print_json
 from factory.dataset.reader import Dataset
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from factory.visualize.rerun import view_episode
 from schemas.errors import UsageError
 from schemas.job import episode_id

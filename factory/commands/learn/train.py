@@ -13,9 +13,9 @@ from factory.commands.common.output import print_result, print_table
 from factory.dataset.reader import Dataset
 from factory.support.logs import configure_logs
 from factory.support.text import format_duration
+from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
+from factory.train.measures import EpochMeasures, TrainReport
 from factory.train.options import BcOptions
-from factory.train.report import EpochMeasures, TrainReport
-from factory.train.run import TrainCallbacks, TrainOrder, train_bc
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from schemas.support.closing import Closing

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from factory.bench.machine import StageRecorder, describe_machine
-from factory.bench.model import CollectBench, RolloutBench
-from factory.bench.plan_size import narrow
-from factory.bench.sample import first_attempts, make_sample
+from factory.bench.results import CollectBench, RolloutBench
 from factory.bench.service.coordinator import bench_coordinator
 from factory.bench.simulation.collect import bench_collect
 from factory.bench.simulation.memory import bench_memory
 from factory.bench.simulation.rollout import bench_rollout
+from factory.bench.workload import first_attempts, make_sample, narrow
 from factory.commands.common.output import print_result
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
@@ -21,7 +20,7 @@ from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
 from schemas.terms import ExpertName, Recording, RendererKind
 from workers.client.settings import WorkerSettings
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 _MEMORY_JOBS = 25
 """Number of different jobs of each scene; they are repeated in turn."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from coordinator.expansion.file import load_plan
-from factory.bench.plan_size import enlarge, narrow
+from coordinator.expansion.plan_file import load_plan
 from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.synthetic import make_synthetic
-from factory.bench.sample import make_sample
+from factory.bench.workload import enlarge, make_sample, narrow
 from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result
 from factory.commands.common.plan_changes import shrunk_plan
@@ -17,7 +16,7 @@ from factory.commands.other.bench_progress import SAMPLE_PLAN, temporary_folder
 from factory.commands.other.bench_tables import show_dataset
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def dataset(episodes: int, reads: int, out: Path | None, as_json: bool) -> None:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from coordinator.expansion.file import load_plan
-from factory.bench.plan_size import narrow
-from factory.bench.sample import make_sample
+from coordinator.expansion.plan_file import load_plan
+from factory.bench.results import DeliveryBench
 from factory.bench.service.delivery import bench_delivery
-from factory.bench.service.delivery_model import DeliveryBench
+from factory.bench.workload import make_sample, narrow
 from factory.commands.common.output import print_result, print_table
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def delivery(episodes: int, workers: int, pullers: int, spot_checks: float, record: str | None, as_json: bool) -> None:

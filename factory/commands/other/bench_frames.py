@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from factory.bench.machine import StageRecorder, describe_machine
-from factory.bench.model import RenderBench
-from factory.bench.plan_size import narrow
 from factory.bench.reading.read import bench_read
+from factory.bench.results import RenderBench
 from factory.bench.simulation.render import bench_render
+from factory.bench.workload import narrow
 from factory.commands.common.output import print_result
 from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.commands.other.bench_tables import show_read, show_render
@@ -75,8 +75,8 @@ def read(
 
 
 def _make_sample(root: Path, plan: Plan, folder: Path) -> None:
-    from factory.bench.sample import make_sample
-    from workers.sim.scene_renderer import SceneRenderer
+    from factory.bench.workload import make_sample
+    from workers.sim.context import SceneRenderer
 
     with progress_bar("sample", plan.episodes) as tell, SceneRenderer() as stage:
         make_sample(root, plan, open_catalog(plan, folder, scene_cache()), stage, tell)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from coordinator.expansion.file import load_plan
-from factory.bench.plan_size import narrow
-from factory.bench.sample import make_sample
-from factory.bench.service.delivery_model import SessionsBench
+from coordinator.expansion.plan_file import load_plan
+from factory.bench.results import SessionsBench
 from factory.bench.service.sessions import SessionsLoad, bench_sessions
+from factory.bench.workload import make_sample, narrow
 from factory.commands.common.output import print_result, print_table
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
 from schemas.bundle import BundleReader
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def sessions(sessions: int, cores: int, episode_s: float, lease_s: float, seconds: float, as_json: bool) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.bench.model import (
+from factory.bench.results import (
     CollectBench,
     CoordinatorBench,
     Machine,

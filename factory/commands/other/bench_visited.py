@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from factory.bench.model import Spread
+from factory.bench.results import Spread
 from factory.bench.service.visited import VisitedBench, bench_visited
 from factory.commands.common.output import print_result, print_table
 from schemas.support.extras import require_package

@@ -13,8 +13,8 @@ from factory.commands.common.bars import Bars
 from factory.commands.common.output import print_result, stderr
 from factory.dataset.marks import excluded_in
 from factory.export.execution.estimate import ExportEstimate, estimate_export
-from factory.export.execution.report import ExportReport
-from factory.export.execution.run import ExportOrder, ExportProgress, run_export
+from factory.export.execution.export_run import ExportOrder, ExportProgress, run_export
+from factory.export.execution.manifest import ExportReport
 from factory.export.execution.selection import parse_episodes
 from factory.export.options import Options
 from factory.export.registry import find_exporter

@@ -10,10 +10,10 @@ import click
 from factory.commands.common.bars import one_bar
 from factory.commands.common.output import print_result, print_table
 from factory.relabel.paraphrase import Endpoint, ParaphraseReport, with_paraphrases
-from factory.relabel.run import RelabelReport, recorded_paraphrases, relabel
+from factory.relabel.relabel_dataset import RelabelReport, recorded_paraphrases, relabel
 from factory.support.logs import configure_logs
 from schemas.errors import UsageError
-from schemas.language.file import load_language
+from schemas.language.language_file import load_language
 from workers.client.stopping import stop_on_signals
 
 

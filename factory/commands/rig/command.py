@@ -10,7 +10,7 @@ import tomli_w
 from factory.commands.common.output import print_json, print_table, print_text
 from schemas.builtin import BUILTIN_RIGS
 from schemas.rig import Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from workers.geometry.faces import plan_faces
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import click
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from factory.commands.common.gating import try_scene
 from factory.commands.common.output import print_building, print_result, print_table
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.runs.catalog import open_catalog
 from factory.runs.gate import GateReport
-from factory.stats.model import Share
+from factory.stats.statistics import Share
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
 from schemas.plan import Plan

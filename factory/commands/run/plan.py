@@ -8,24 +8,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from coordinator.expansion.balance.layout_categories import planned_categories
+from coordinator.expansion.balance import planned_categories
 from coordinator.expansion.cells import cells
-from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import load_plan, plan_to_toml
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.sentences import find_missing_instructions
 from coordinator.expansion.summary import PlanSummary, summarise
 from factory.commands.common.output import print_building, print_json, print_table, print_text, stderr
 from factory.commands.common.plan_changes import shrunk_plan, warn_of_empty_splits
-from factory.runs.catalog import collect_scenes, find_built
+from factory.runs.catalog import collect_scenes, find_built, require_files
 from factory.runs.corners import corner_shares
-from factory.runs.plan_files import require_files
 from factory.support.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
-from schemas.instruction.language import TEMPLATES
+from schemas.instruction.templates import TEMPLATES
 from schemas.language.compose import Composer
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.layouts import unseen_layouts
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Tier, family_of

@@ -16,7 +16,7 @@ from factory.runs.local import LocalRun, run_locally
 from factory.runs.render import prepare_rendering
 from factory.support.logs import configure_logs
 from schemas.errors import UsageError
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
 from schemas.terms import RendererKind

@@ -25,9 +25,8 @@ from factory.commands.common.plan_changes import warn_of_empty_splits
 from factory.commands.common.summary import print_missing, print_summary, summarise
 from factory.dataset.site import Site
 from factory.runs.catalog import open_catalog, scenes_before_run
-from factory.runs.local import LocalRun, run_locally
+from factory.runs.local import LocalRun, require_renderer, run_locally
 from factory.runs.ray_engine import RayCluster
-from factory.runs.renderer import require_renderer
 from factory.runs.shards import ShardRecorder, choose_shard, may_take_over
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache

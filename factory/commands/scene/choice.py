@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import click
 
-from factory.runs.imported import find_imported
+from factory.runs.scene_packages import find_imported
 from factory.scenes.stage_file import SCENE_SUFFIXES, find_fault
 from factory.support.settings import scene_cache
 from schemas.errors import UsageError

@@ -31,7 +31,7 @@ def survey_family(family: str, layouts: int, first_seed: int, as_json: bool) -> 
     Raises:
         UsageError: the family is unknown.
     """
-    from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
+    from factory.scenes.author.scene import BUILTIN_SCENES, lay_out_scene
     from factory.scenes.build import build_scene
     from factory.scenes.survey.diversity import coarse_map, measure_layout, nearest_neighbours, spreads
 

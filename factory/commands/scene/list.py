@@ -11,7 +11,7 @@ import click
 from factory.commands.common.output import print_json, print_table
 from factory.commands.scene.package import describe_counts
 from factory.dataset.packages import find_package_file
-from factory.runs.imported import find_imported
+from factory.runs.scene_packages import find_imported
 from factory.support.settings import scene_cache
 from schemas.dataset.meta import read_dataset_meta
 from schemas.errors import FactoryError
@@ -68,7 +68,7 @@ def _in_dataset(root: Place, part: ScenePlan, sha256: str) -> dict[str, Any]:
 
 
 def _built_in() -> list[dict[str, Any]]:
-    from factory.scenes.author import BUILTIN_SCENES, PAPER_LAYOUTS
+    from factory.scenes.author.scene import BUILTIN_SCENES, PAPER_LAYOUTS
 
     return [
         {

@@ -13,7 +13,7 @@ import click
 
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.nearest import find_nearest
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import plan_to_toml
 from factory.commands.common.output import print_text
 from schemas.config import TaskConfig
 from schemas.plan import PAPER_SPLITS, Plan, ScenePlan

@@ -15,14 +15,14 @@ from factory.commands.scene.diversity import survey_family
 from schemas.terms import SuccessMeasure
 
 if TYPE_CHECKING:
-    from factory.scenes.survey.report import SpawnSight, SurveyReport
+    from factory.scenes.survey.spawn_survey import SpawnSight, SurveyReport
 
 
 def execute(
     scene: str | None, seed: int, family: str | None, layouts: int, within: float, success: str | None, as_json: bool
 ) -> int:
     """Executes `factory scene survey`."""
-    from factory.scenes.survey.report import report_survey
+    from factory.scenes.survey.spawn_survey import report_survey
 
     if (scene is None) == (family is None):
         raise click.UsageError("give either SCENE|PACKAGE or --family NAME")

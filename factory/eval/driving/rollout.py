@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from factory.eval.driving import measure
 from factory.eval.driving.action import read_actions
+from factory.eval.driving.live_view import RigSensors, shows_recorded_camera
 from factory.eval.driving.measure import odometry, yaws_of
 from factory.eval.driving.policy import (
     EpisodeInfo,
@@ -31,7 +32,6 @@ from factory.eval.driving.policy import (
     kind_of_actions,
     uses_camera,
 )
-from factory.eval.driving.rig_sensors import RigSensors, shows_recorded_camera
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalRequest, EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
@@ -39,9 +39,9 @@ from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
 from schemas.measure import Goal
 from schemas.rig import Rig
-from schemas.support.planar import footprint_distances
+from schemas.support.geometry import footprint_distances
 from workers.experts.observation import Observation
-from workers.sim.scene_renderer import LoadedScene
+from workers.sim.context import LoadedScene
 
 TRACK_HZ = 10
 

@@ -23,8 +23,8 @@ from workers.physics.world import World
 from workers.sensors.observation import Trajectory
 from workers.sim.appearance import show_appearance
 from workers.sim.closed_loop import ClosedLoop
-from workers.sim.scene_renderer import LoadedScene, SceneRenderer
-from workers.sim.sensors import LoadedSurroundings
+from workers.sim.context import LoadedScene, SceneRenderer
+from workers.sim.recording import LoadedSurroundings
 from workers.sim.spawn import is_spawn_stable
 
 

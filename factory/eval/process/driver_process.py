@@ -13,7 +13,7 @@ from factory.eval.driving.policy import PolicyFault
 from factory.eval.driving.rollout import progresses, request_fields
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask, Setup, read_report, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies import renders_apart
+from factory.eval.policies.registry import renders_apart
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from schemas.support.child import SAFE_PATH, child_environment, python_module
 from schemas.support.jsonl_process import JsonlProcess, describe_exit

@@ -17,10 +17,9 @@ from typing import BinaryIO, cast
 from factory.eval.models.messages import DriverOrder, EvalReportKind, EvalTask
 from factory.eval.models.messages import EvalReport as Outcome
 from factory.eval.models.result import EpisodeResult
-from factory.eval.policies import is_user_class
-from factory.eval.policies.note import note_of
+from factory.eval.policies.registry import is_user_class, note_of
 from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
-from factory.eval.remote.result_bundle import ResultBundle, write_result_bundle
+from factory.eval.remote.results import ResultBundle, write_result_bundle
 from schemas.terms import FailReason, RendererKind
 from workers.process import messages as worker
 from workers.process.messages import SimulationOrder, failure

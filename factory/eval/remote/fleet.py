@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coordinator.clock import utc_now
-from coordinator.expansion.evaluation import EvalJobs
-from coordinator.ledger import operator
+from coordinator.expansion.draw import EvalJobs
+from coordinator.ledger import administration
 from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
@@ -27,9 +27,8 @@ from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.eval.models.messages import EvalTask
-from factory.eval.process.run import Pace
-from factory.eval.remote.result_bundle import read_result_bundle
-from factory.eval.remote.result_validator import ResultValidator
+from factory.eval.process.local_campaign import Pace
+from factory.eval.remote.results import ResultValidator, read_result_bundle
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, with_actions
@@ -148,7 +147,7 @@ def _try_failed_again(root: Path) -> None:
     try:
         with engine.begin() as connection:
             if holds_run(connection):
-                operator.retry(connection, (), utc_now())
+                administration.retry(connection, (), utc_now())
     finally:
         engine.dispose()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.draw import PlannedJob
 from factory.eval.models.messages import EvalTask
-from factory.eval.policies import file_of
+from factory.eval.policies.registry import file_of
 from factory.eval.specs.campaign import Campaign, tasks_for
 from factory.eval.specs.from_dataset import Places
 from schemas.episode_spec import EpisodeSpec

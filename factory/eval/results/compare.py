@@ -11,7 +11,7 @@ from factory.eval.models.result import EpisodeResult, Variant
 from factory.eval.results.estimate import IntervalEstimate, mcnemar_p, means_of
 from factory.eval.results.score import MEANS
 from factory.stats.measures import share_of
-from factory.stats.model import Share
+from factory.stats.statistics import Share
 from schemas.base import Fraction, Model
 from schemas.errors import UsageError
 

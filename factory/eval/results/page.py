@@ -11,7 +11,7 @@ from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
 from factory.html import data_uri, render
-from factory.stats.model import Share
+from factory.stats.statistics import Share
 
 _HEAD = (
     "n",

@@ -19,7 +19,7 @@ from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
 from schemas.storage.disk import replacing
 from schemas.view import ViewSettings
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
 VIDEOS = "videos"

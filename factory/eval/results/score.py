@@ -1,4 +1,4 @@
-"""Computes the tables of an evaluation: metrics with intervals, by split, scene, tier, category and template.
+"""Computes the tables of an evaluation: metrics with intervals, by split, scene, tier, category and template; faults.
 
 Pure functions.
 """
@@ -13,15 +13,45 @@ from typing import Annotated
 from pydantic import Field
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
-from factory.eval.policies.note import PolicyNote
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.estimate import NO_VALUES, IntervalEstimate, mcnemar_p, means_of
-from factory.eval.results.faults import FaultCount, faults_of
 from factory.stats.measures import share_of
-from factory.stats.model import Share
-from schemas.base import Fraction, Model, Sha256
-from schemas.instruction.language import TEMPLATES
+from factory.stats.statistics import Share
+from schemas.base import Fraction, Model, Name, Sha256
+from schemas.instruction.templates import TEMPLATES
 from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier, family_of
 from schemas.view import ViewSettings
+
+
+class FaultCount(Model):
+    """Episodes of a policy that ended with one kind of policy failure, under all instruction variants."""
+
+    end: EvalEnd
+    drives: Annotated[int, Field(ge=1)]
+    of: Annotated[int, Field(ge=1)]
+    """Number of episodes of the policy under all instruction variants."""
+    first: Name
+    """First episode with this failure."""
+    detail: str
+    """Message of that failure, with file and line if known."""
+
+
+def faults_of(results: Sequence[EpisodeResult]) -> tuple[FaultCount, ...]:
+    """Returns the kinds of failure of a policy, the most frequent first.
+
+    Args:
+        results: All results of the policy, in order.
+    """
+    rows: dict[EvalEnd, list[EpisodeResult]] = {}
+    for row in results:
+        if row.end.is_of_the_policy:
+            rows.setdefault(row.end, []).append(row)
+    faults = (
+        FaultCount(end=end, drives=len(found), of=len(results), first=found[0].spec_id, detail=found[0].detail)
+        for end, found in rows.items()
+    )
+    return tuple(sorted(faults, key=lambda fault: (-fault.drives, fault.end)))
+
 
 GROUPS: Mapping[str, str] = MappingProxyType(
     {

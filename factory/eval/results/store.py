@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, Variant
 from factory.eval.models.spec import SpecSet, read_specs, write_specs
-from factory.eval.policies.note import PolicyNote
+from factory.eval.policies.registry import PolicyNote
 from schemas.base import Model, NonNegative, Sha256
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import replacing, translated

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import PolicyScores
-from factory.stats.model import Share
+from factory.stats.statistics import Share
 
 
 def ablation_rows(

@@ -14,7 +14,7 @@ from factory.dataset.episode import Episode
 from factory.dataset.packages import light_file
 from factory.dataset.reader import Dataset
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet, spread
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from schemas.appearance.light_groups import decode_light_groups
 from schemas.episode import EpisodeMeta
 from schemas.episode_spec import EpisodeSpec
@@ -25,7 +25,7 @@ from schemas.scene import Instance, read_scene
 from schemas.storage.place import Place
 from schemas.terms import Split
 from workers.geometry.pose import Pose
-from workers.sim.scene_renderer import LoadedScene, prepare_scene
+from workers.sim.context import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
 _SAME_PLACE_M = 0.005

@@ -14,12 +14,12 @@ import numpy as np
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand, redraw, to_job
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from factory.dataset.reader import Dataset
 from factory.eval.driving.simulator import Simulator, UnstableStart
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
 from factory.eval.specs.from_dataset import Places, categories_in_view
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
@@ -32,7 +32,7 @@ from workers.geometry.grid import body_centre
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.aim import find_aim, is_view_clear, start_target
-from workers.sim.scene_renderer import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SceneRenderer
 from workers.sim.spawn import Start, draw_among
 
 _DRAW_STREAM, _SEED_STREAM = 21, 22

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from factory.dataset.reader import Dataset
+from factory.export.execution.export_run import ExportOrder, plan_manifest, run_export
 from factory.export.execution.manifest import require_same_export
-from factory.export.execution.run import ExportOrder, plan_manifest, run_export
 from factory.export.registry import find_exporter, require_packages
 from schemas.base import Model
 from schemas.errors import WorldError

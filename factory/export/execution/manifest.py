@@ -1,4 +1,4 @@
-"""Reads, writes and compares `export.json`: source, options and completeness of the export in a directory.
+"""Reads, writes and compares `export.json`: source, options and completeness of an export; models of its report.
 
 Contains no times, so equal exports have equal bytes.
 """
@@ -10,11 +10,51 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from factory.export.execution.report import Skip
 from factory.export.output import WORK_FOLDER, Output
 from schemas.base import Model, Sha256
 from schemas.dataset.meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
+
+
+class Skip(Model):
+    """Episode that could not be exported, with the reason."""
+
+    episode_id: str
+    reason: str
+
+
+class ExportReport(Model):
+    """Report of an export."""
+
+    dataset: str
+    dataset_digest: str
+    """Digest of the selected episodes."""
+    format: str
+    out: str
+    episodes: int
+    """Number of episodes in the export."""
+    frames: int
+    """Number of frames in the export."""
+    resumed: int
+    """Number of episodes that earlier, interrupted calls exported."""
+    skipped: tuple[Skip, ...]
+    absent: tuple[str, ...]
+    """Ids of planned episodes that the dataset does not have, because the run is unfinished or has abandoned them;
+    empty if episodes were selected by id."""
+    bytes: int
+    """Size of the export, bytes."""
+    seconds: float
+    """Wall time of this call, seconds."""
+    frames_per_second: float | None
+    """Frames per second of this call; null if it wrote no episode."""
+    complete: bool
+    """Whether the export contains all selected episodes."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the export has ended and is usable; some episodes may have been skipped."""
+        return self.complete or bool(self.skipped)
+
 
 MANIFEST_FILE = "export.json"
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.support.planar import yaw_of
+from schemas.support.geometry import yaw_of
 from schemas.tokens import tokens_of
 
 STATE_NAMES = ("x_m", "y_m", "yaw_rad", "v_mps", "w_rps")

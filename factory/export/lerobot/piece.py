@@ -1,7 +1,11 @@
-"""Writes and reads the piece of one episode for LeRobot: videos and a parquet file of columns, for both versions."""
+"""Writes and reads the piece of one episode for LeRobot: videos and a parquet file of columns, for both versions.
+
+A row of a rig's sensors has the latest measurement at or before its frame, so no row depends on the future.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -14,16 +18,49 @@ from numpy.typing import NDArray
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts
 from factory.export.lerobot.columns import frame_columns, kept_frames
-from factory.export.lerobot.depth_code import LARGEST_CODE, DepthCode
-from factory.export.lerobot.features import data_schema
+from factory.export.lerobot.features import LARGEST_CODE, DepthCode, data_schema
 from factory.export.lerobot.layout import STATE, ImageFeature, Layout, layout_of
-from factory.export.lerobot.rig_columns import rig_columns
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
 from factory.export.options import LeRobotOptions, stride_of
 from factory.export.rig.reader import SensorReader
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.png import encode_png
-from schemas.rig import CameraOutput
+from schemas.rig import CameraOutput, Lidar2d, Lidar3d
+from workers.sensors import ImuMeasurements
+
+
+def rig_columns(layout: Layout, reader: SensorReader, kept: Sequence[int]) -> dict[str, NDArray[np.float32]]:
+    """Returns the values (N, ...) of the columns that a sensor of the rig measures.
+
+    Args:
+        layout: features of the export.
+        reader: sensors of the episode.
+        kept: control steps (N,) of the exported frames.
+    """
+    return {
+        name: _scans(reader, column.sensor, kept)
+        if isinstance(column.sensor, Lidar2d | Lidar3d)
+        else _vectors(reader, column.sensor.name, kept)
+        for name, column in layout.columns.items()
+        if column.sensor is not None
+    }
+
+
+def _vectors(reader: SensorReader, name: str, kept: Sequence[int]) -> NDArray[np.float32]:
+    """Returns (N, 6) angular velocity and specific force, or (N, 5) pose and twist of odometry."""
+    motion = reader.motion[name]
+    if isinstance(motion, ImuMeasurements):
+        measured = np.concatenate((motion.angular_velocity, motion.specific_force), axis=1)
+    else:
+        measured = np.concatenate((motion.poses, motion.twists), axis=1).astype(np.float32)
+    return np.asarray(measured[np.asarray(kept) // reader.strides[name]])
+
+
+def _scans(reader: SensorReader, lidar: Lidar2d | Lidar3d, kept: Sequence[int]) -> NDArray[np.float32]:
+    """Returns ranges (N, samples), or (N, lines, samples), metres; 0 without a return."""
+    ranges = np.stack([reader.arrays(lidar, t)["ranges"] for t in kept])
+    return ranges[:, 0] if isinstance(lidar, Lidar2d) else ranges
+
 
 FRAMES_FILE = "frames.parquet"
 Image = NDArray[np.uint8] | NDArray[np.uint16]

@@ -12,10 +12,16 @@ import pyarrow.parquet as pq
 
 from factory.export.base import Finish
 from factory.export.lerobot.columns import STATE_NAMES
-from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
+from factory.export.lerobot.common import (
+    DatasetStats,
+    LeRobotBase,
+    LeRobotExport,
+    Stats,
+    describe_dataset,
+    episode_stats,
+)
 from factory.export.lerobot.features import data_schema
 from factory.export.lerobot.layout import RGB, STATE, Layout
-from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
 from factory.export.lerobot.numbering import Numbered
 from factory.export.lerobot.piece import LeRobotFacts, read_columns
 from factory.export.options import LeRobotV21Options

@@ -14,9 +14,20 @@ import pyarrow.parquet as pq
 
 from coordinator.tables.write import parquet_schema
 from factory.export.base import Finish
-from factory.export.lerobot.common import LeRobotBase, LeRobotExport, describe_dataset
+from factory.export.lerobot.common import (
+    DatasetStats,
+    LeRobotBase,
+    LeRobotExport,
+    Stats,
+    describe_dataset,
+    episode_stats,
+)
 from factory.export.lerobot.features import data_schema
-from factory.export.lerobot.language import (
+from factory.export.lerobot.layout import ImageFeature, Layout
+from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
+from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
+from factory.export.lerobot.statistics import QUANTILES
+from factory.export.lerobot.subtasks import (
     COLUMN,
     EVENTS,
     EVENTS_TYPE,
@@ -27,11 +38,6 @@ from factory.export.lerobot.language import (
     with_questions,
     with_subtasks,
 )
-from factory.export.lerobot.layout import ImageFeature, Layout
-from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
-from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
-from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
-from factory.export.lerobot.statistics import QUANTILES
 from factory.export.options import LeRobotOptions
 from factory.export.video import join_videos
 from schemas.dataset.rows import EpisodeSummary

@@ -14,15 +14,14 @@ from typing import IO, Any
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
-from factory.export.mcap.card import foxglove_card, ros2_card
 from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
-from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
-from factory.export.mcap.rig_frames import require_different_frames
+from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile, foxglove_card, ros2_card
+from factory.export.mcap.sensor_frames import require_different_frames
 from factory.export.options import SPACING_S, McapOptions, stride_of
-from factory.export.rig.document import RIG_FILE, rig_json
+from factory.export.rig.description import RIG_FILE, rig_json
 from factory.export.rig.reader import SensorReader
 from factory.export.source import describe_episode, to_json
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from schemas.rig import Camera, Rig
 from schemas.scene import CompiledScene, read_geometry
 from schemas.storage.place import Place

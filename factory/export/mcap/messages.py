@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.export.mcap.rig_frames import links_of, odometry_links
+from factory.export.mcap.sensor_frames import links_of, odometry_links
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.scene import CompiledScene, Target
-from schemas.support.planar import yaw_of
+from schemas.support.geometry import yaw_of
 
 WORLD, BASE, OPTICAL = "world", "base_link", "front_optical"
 OPTICAL_FROM_BASE = (-0.5, 0.5, -0.5, 0.5)

@@ -12,9 +12,8 @@ import numpy as np
 
 from factory.export.mcap.messages import BASE, TopicMessage, pose_of, stamped
 from factory.export.mcap.protobuf import IMU
-from factory.export.mcap.rig_frames import frame_of, planar_row
-from factory.export.mcap.rig_points import POINT, fields_of, packed_points
-from factory.export.rig.calibration import intrinsics_of
+from factory.export.mcap.sensor_frames import POINT, fields_of, frame_of, packed_points, planar_row
+from factory.export.rig.description import intrinsics_of
 from factory.export.rig.reader import Array, SensorReader
 from schemas.encoding.png import encode_png
 from schemas.rig import Camera, CameraOutput, Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from factory.export.mcap.messages import TopicMessage, pose_of
-from factory.export.mcap.rig_frames import frame_of, planar_row
-from factory.export.mcap.rig_points import POINT, fields_of, packed_points
 from factory.export.mcap.ros2_messages import BASE, header_of, image_of
-from factory.export.rig.calibration import intrinsics_of
+from factory.export.mcap.sensor_frames import POINT, fields_of, frame_of, packed_points, planar_row
+from factory.export.rig.description import intrinsics_of
 from factory.export.rig.reader import Array, SensorReader
 from schemas.encoding.png import encode_png
 from schemas.rig import Camera, CameraOutput, Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.export.mcap.messages import OPTICAL_FROM_BASE, TopicMessage, calibration, paths_of, pose_of
-from factory.export.mcap.rig_frames import links_of, odometry_links
+from factory.export.mcap.sensor_frames import links_of, odometry_links
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene, Target
 

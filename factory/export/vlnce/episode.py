@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.episode import EpisodeMeta
-from schemas.language.route.model import SubInstruction
-from schemas.support.planar import yaw_of
+from schemas.language.route.meaning import SubInstruction
+from schemas.support.geometry import yaw_of
 from schemas.terms import SuccessMeasure
 
 PAD, UNKNOWN = "<pad>", "<unk>"

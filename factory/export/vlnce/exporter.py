@@ -31,7 +31,7 @@ from factory.export.vlnce.episode import (
     vocabulary_of,
     words_of,
 )
-from factory.runs.package import find_package
+from factory.runs.scene_packages import find_package
 from schemas.scene import CompiledScene, SceneInfo, read_info, read_scene
 from schemas.storage.place import Place
 

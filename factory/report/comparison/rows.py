@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from factory.report.comparison import reasons
-from factory.report.comparison.facts import RunFacts, facts_of
-from factory.report.comparison.model import PaperComparison, verdict_of
+from factory.report.comparison.paper_comparison import PaperComparison, verdict_of
+from factory.report.comparison.reasons import RunFacts, facts_of
 from factory.report.data import ReportInput
 from factory.stats import paper
-from factory.stats.attempts import first_of_near_and_mid
+from factory.stats.counts import first_of_near_and_mid
 from factory.stats.measures import share_of
-from factory.stats.model import Interval, Published, RolloutRow, Share
 from factory.stats.rollouts import ALL
-from schemas.instruction.language import needs_colour, say_category
+from factory.stats.statistics import Interval, Published, RolloutRow, Share
+from schemas.instruction.templates import needs_colour, say_category
 from schemas.terms import Split, Tier
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factory.stats.model import Share
+from factory.stats.statistics import Share
 
 DASH = "–"
 

@@ -11,8 +11,8 @@ from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import DASH, count, interval, name, scene_label
-from factory.stats.attempts import first_of_near_and_mid
-from factory.stats.model import AttemptRow
+from factory.stats.counts import first_of_near_and_mid
+from factory.stats.statistics import AttemptRow
 
 
 def draw(material: ReportInput) -> Figure:

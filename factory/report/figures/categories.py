@@ -8,9 +8,8 @@ import numpy as np
 
 from factory.html.palette import colour, scene_colours
 from factory.report.data import ReportInput
-from factory.report.drawing.canvas import Axes, draw_panel, write_legend
+from factory.report.drawing.canvas import Axes, draw_panel, mark_paper, write_legend
 from factory.report.drawing.figure import Figure, Table
-from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import DASH, count, name, percent
 
 

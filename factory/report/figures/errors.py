@@ -12,7 +12,7 @@ from factory.report.drawing.canvas import Axes, draw_panel, write_legend
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, name, number, percent
 from factory.stats import paper
-from factory.stats.model import ErrorRow
+from factory.stats.statistics import ErrorRow
 
 _MARGIN_M = 0.004
 

@@ -9,7 +9,7 @@ from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, mark, write_legend
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import DASH, count, name, number
-from factory.stats.model import Fit
+from factory.stats.statistics import Fit
 from schemas.terms import Tier
 
 _PRINTED_P = 0.001

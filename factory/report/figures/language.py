@@ -10,7 +10,7 @@ from factory.report.drawing.canvas import Axes, draw_panel
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, interval, name, number
 from factory.stats.language import summarise_language
-from factory.stats.model import LanguageRow, LanguageStatistics, Share
+from factory.stats.statistics import LanguageRow, LanguageStatistics, Share
 
 _MEASURES = {
     "nearest": ("target is nearest", "won"),

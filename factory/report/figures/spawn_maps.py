@@ -4,9 +4,18 @@ from __future__ import annotations
 
 from factory.html.palette import TIER_COLOURS, TIER_MARKERS, colour
 from factory.report.data import ReportInput
-from factory.report.drawing.canvas import Axes, Panel, draw_panel, mark, write_legend
+from factory.report.drawing.canvas import (
+    Axes,
+    Panel,
+    draw_floor,
+    draw_panel,
+    draw_targets,
+    floor_height_in,
+    mark,
+    title_floor,
+    write_legend,
+)
 from factory.report.drawing.figure import Figure
-from factory.report.drawing.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.drawing.text import count, file_part, name
 from schemas.terms import Tier
 

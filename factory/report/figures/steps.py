@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from factory.html.palette import colour, scene_colours
-from factory.report.comparison.facts import facts_of
+from factory.report.comparison.reasons import facts_of
 from factory.report.data import ReportInput
-from factory.report.drawing.canvas import Axes, draw_panel, write_legend
+from factory.report.drawing.canvas import Axes, draw_panel, mark_paper, write_legend
 from factory.report.drawing.figure import Figure, Table
-from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import count, name, number, scene_label
 
 

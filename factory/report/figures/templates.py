@@ -7,8 +7,8 @@ from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, Panel, count_whole, draw_panel, write_legend
 from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, percent
-from factory.stats.model import CountRow
-from schemas.instruction.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
+from factory.stats.statistics import CountRow
+from schemas.instruction.templates import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
 
 
 def draw(material: ReportInput) -> Figure:

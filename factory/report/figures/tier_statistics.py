@@ -6,12 +6,11 @@ import numpy as np
 
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
-from factory.report.drawing.canvas import Axes, draw_panel, write_legend
+from factory.report.drawing.canvas import Axes, draw_panel, mark_paper, write_legend
 from factory.report.drawing.figure import Figure, Table
-from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import count, name, number
 from factory.stats import paper
-from factory.stats.model import RolloutRow
+from factory.stats.statistics import RolloutRow
 from schemas.terms import Tier
 
 

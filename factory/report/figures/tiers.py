@@ -6,11 +6,10 @@ import numpy as np
 
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
-from factory.report.drawing.canvas import Axes, count_whole, draw_panel, mark, write_legend
+from factory.report.drawing.canvas import Axes, count_whole, draw_panel, mark, mark_paper, write_legend
 from factory.report.drawing.figure import Figure, Table
-from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import count, interval, name, number
-from factory.stats.model import FarRow
+from factory.stats.statistics import FarRow
 from schemas.terms import TIER_RANGE_M, Tier
 
 _BIN_M = 0.5

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
-from factory.report.drawing.canvas import Axes, Panel, draw_panel, write_legend
+from factory.report.drawing.canvas import (
+    Axes,
+    Panel,
+    draw_floor,
+    draw_panel,
+    draw_targets,
+    floor_height_in,
+    title_floor,
+    write_legend,
+)
 from factory.report.drawing.figure import Figure
-from factory.report.drawing.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.drawing.text import count, file_part, name
 from schemas.terms import Tier
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from factory.html import data_uri, render
 from factory.html.palette import with_variables
-from factory.report.comparison.model import PaperComparison
+from factory.report.comparison.paper_comparison import PaperComparison
 from factory.report.data import FrameSample, ReportInput
 from factory.report.drawing.canvas import Panel
 from factory.report.drawing.figure import Figure

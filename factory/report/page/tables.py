@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from factory.report.comparison.model import PaperComparison
+from factory.report.comparison.paper_comparison import PaperComparison
 from factory.report.drawing.figure import Table
 from factory.report.drawing.text import DASH, number, percent
-from factory.stats.model import Interval
+from factory.stats.statistics import Interval
 
 _TIMES = 2.0
 """Threshold of `ours` divided by `published`: from it, the difference is shown as a factor instead of per cent."""

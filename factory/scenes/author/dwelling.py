@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
-from factory.scenes.author.ceilings import build_ceiling
 from factory.scenes.author.geometry import AuthoredMesh, block, open_block
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted
 from factory.scenes.author.partition import Division, Opening
 from factory.scenes.author.placement import FACING, FloorPlan, Rectangle, RoomRecord
-from factory.scenes.author.room import DOOR_CLEARANCE_M, WALL_THICKNESS_M, Trim, floor, wall
+from factory.scenes.author.room import DOOR_CLEARANCE_M, WALL_THICKNESS_M, Trim, build_ceiling, floor, wall
 
 _SIDES = "SNWE"
 GRIP = painted("Steel", 0.35, 1.0)

@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 
 from schemas.support import portable
+from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats, Ints
-from schemas.support.vectors import cross
 
 Vector = tuple[float, float, float]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.compile.geometry import Geometry, lay_out_geometry
+from factory.scenes.compile.listing import Reachable, find_reachable, find_terrain, free_area_m2
+from factory.scenes.compile.objects import instances_of, show_parts
 from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
-from factory.scenes.compile.reachable import Reachable, find_reachable, find_terrain, free_area_m2
-from factory.scenes.compile.shown import instances_of, show_parts
 from factory.scenes.compile.textures import DrawFunction, TextureBook
 from factory.scenes.importer import Extraction, Part
 from factory.scenes.light import USUAL_DETAIL, LightDetail

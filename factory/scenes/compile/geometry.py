@@ -12,7 +12,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.compile.shade import corner_colours, glow_brightness, glows_by_name, reflectance, texture_layer
+from factory.scenes.compile.surfaces import corner_colours, glow_brightness, glows_by_name, reflectance, texture_layer
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.light import USUAL_DETAIL, LightDetail, LightMap, TooManyPieces, bake_light

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from factory.scenes.importer import Part, Surface
 from factory.scenes.navigation.floor import find_floor_height
 from schemas.support import portable
+from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats, Singles
-from schemas.support.vectors import cross
 from workers.geometry.rays import Caster
 
 _CEILING_PATH = "/AddedCeiling"

@@ -18,7 +18,7 @@ from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.shapes import BROKEN, Content, Names, ShapeNode, display_colour, mesh_piece
 from factory.scenes.formats.xml_text import parse_xml
 from factory.scenes.importer.collect import Piece
-from factory.scenes.importer.model import Surface
+from factory.scenes.importer.content import Surface
 from factory.scenes.importer.polygons import triangulate
 from schemas.support.numpy_types import Floats, Ints
 

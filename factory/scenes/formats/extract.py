@@ -12,9 +12,8 @@ from pathlib import Path
 
 from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.library import read_mesh_file
-from factory.scenes.formats.sdf.worlds import read_sdf
-from factory.scenes.formats.shapes import BROKEN, ROOT, place_content
-from factory.scenes.formats.units import resolve_units
+from factory.scenes.formats.sdf import read_sdf
+from factory.scenes.formats.shapes import BROKEN, ROOT, place_content, resolve_units
 from factory.scenes.formats.urdf import read_urdf
 from factory.scenes.importer import Extraction
 from factory.scenes.importer.collect import Collector
@@ -68,7 +67,7 @@ def _read(kind: str, path: Path, files: SceneFiles) -> float:
         read_urdf(path, files)
     elif kind == "MJCF":
         require_package("mujoco", "importing MJCF")
-        from factory.scenes.formats.mjcf.models import read_mjcf  # imports an optional package
+        from factory.scenes.formats.mjcf import read_mjcf  # imports an optional package
 
         read_mjcf(path, files)
     else:

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import unquote
 
-from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.assets import ReadableFolder, read_asset
 from factory.scenes.importer.collect import Collector
-from factory.scenes.importer.model import Part, Surface
-from factory.scenes.importer.outside_files import ReadableFolder
+from factory.scenes.importer.content import Part, Surface
 from schemas.errors import WorldError
 
 _OUTSIDE = "files outside of the scene's folder (move them below it, or allow them with --allow-outside)"

@@ -12,13 +12,12 @@ import numpy as np
 
 from factory.scenes.formats.collada import read_collada
 from factory.scenes.formats.files import SceneFiles, place_of
-from factory.scenes.formats.gltf.nodes import read_gltf
+from factory.scenes.formats.gltf import read_gltf
 from factory.scenes.formats.meshes import read_ply, read_stl
 from factory.scenes.formats.obj import read_obj
-from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content, solid_piece
-from factory.scenes.formats.units import to_metres
+from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content, solid_piece, to_metres
 from factory.scenes.formats.xml_text import parse_xml, text_of
-from factory.scenes.importer.model import Surface
+from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons
 from factory.scenes.stage_file import kind_of_file
 from schemas.support.numpy_types import Floats

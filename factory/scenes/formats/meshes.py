@@ -16,7 +16,7 @@ from trimesh.exchange.stl import load_stl
 
 from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.shapes import Content, Names, ShapeNode, mesh_piece
-from factory.scenes.importer.model import Surface
+from factory.scenes.importer.content import Surface
 from schemas.appearance.colour_names import linear_of
 from schemas.support.numpy_types import Floats, Ints
 

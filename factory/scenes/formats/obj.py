@@ -14,7 +14,7 @@ import numpy as np
 from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.shapes import Content, Names, ShapeNode, display_colour, mesh_piece
 from factory.scenes.importer.collect import Piece
-from factory.scenes.importer.model import Surface
+from factory.scenes.importer.content import Surface
 from factory.scenes.importer.polygons import triangulate
 from schemas.appearance.colour_names import linear_of
 from schemas.support.numpy_types import Floats, Ints

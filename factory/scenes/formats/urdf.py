@@ -16,7 +16,7 @@ from factory.scenes.formats.library import Library
 from factory.scenes.formats.poses import numbers, pose_matrix
 from factory.scenes.formats.shapes import BROKEN, ROOT, Names, display_colour
 from factory.scenes.formats.xml_text import parse_xml
-from factory.scenes.importer.model import Surface
+from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, sphere
 from schemas.support.numpy_types import Floats
 

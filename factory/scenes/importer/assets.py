@@ -1,14 +1,15 @@
-"""Reads the bytes of USD assets, inside a .usdz package or relative to a layer.
-
-Does not decode them.
-"""
+"""Reads the bytes of USD assets, inside a .usdz package or in the folder of the stage. Does not decode them."""
 
 from __future__ import annotations
 
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pxr import Ar, Sdf
+
+from factory.scenes.importer.content import Surface
 
 
 def asset_path(value: Any) -> str:
@@ -33,3 +34,39 @@ def sibling(layer_path: str, name: str) -> str:
     if bracket:
         return f"{head}[{(Path(inner.rstrip(']')).parent / name).as_posix()}]"
     return str(Path(layer_path).parent / name)
+
+
+@dataclass(frozen=True)
+class ReadableFolder:
+    """Folder of the root layer, from which an import may read textures."""
+
+    root_layer: Path
+    is_open: bool
+    """Whether all paths are allowed."""
+    also: tuple[Path, ...] = ()
+    """Additional folders from which files may be read."""
+
+    def encloses(self, asset: str) -> bool:
+        """Returns whether an absolute asset path, such as `a.usdz[b.png]`, is inside the folder."""
+        file = Path(asset.partition("[")[0])
+        folders = (self.root_layer.resolve().parent, *(folder.resolve() for folder in self.also))
+        return self.is_open or any(file.resolve().is_relative_to(folder) for folder in folders)
+
+    def kept_inside(self, surface: Surface, material: str, notes: list[str]) -> Surface:
+        """Returns the surface, with a plain colour if its texture is outside the folder.
+
+        Args:
+            surface: appearance of the material.
+            material: path of the material prim.
+            notes: list that receives a note for each rejected texture.
+        """
+        texture = surface.texture
+        climbs = ".." in Path(texture).parts and not Path(texture).is_absolute()  # a resolved path is absolute
+        if not texture or (not climbs and (not Path(texture).is_absolute() or self.encloses(texture))):
+            return surface
+        shown = os.path.relpath(texture, self.root_layer.resolve().parent) if not climbs else texture
+        notes.append(
+            f"{material}: texture {shown} is outside of the stage's folder, shown in one colour; "
+            "move it below the folder or allow it (--allow-outside, in a plan allow_outside = true)"
+        )
+        return replace(surface, texture="", colour=surface.fallback)

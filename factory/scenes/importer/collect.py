@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from factory.scenes.importer.model import Extraction, Part, Surface, TextureRecipe
+from factory.scenes.importer.content import Extraction, Part, Surface, TextureRecipe
 from factory.scenes.limits import StageLimits
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.assets import ReadableFolder, read_asset
 from factory.scenes.importer.collect import Collector, Piece
+from factory.scenes.importer.content import Extraction, Part, Surface
 from factory.scenes.importer.diagnostics import format_error, text_of
 from factory.scenes.importer.material import bound_material, read_surface
-from factory.scenes.importer.mesh import (
+from factory.scenes.importer.prims import (
     ImportedMesh,
     corner_values,
     count_triangles,
@@ -28,8 +29,6 @@ from factory.scenes.importer.mesh import (
     read_mesh,
     uv_values,
 )
-from factory.scenes.importer.model import Extraction, Part, Surface
-from factory.scenes.importer.outside_files import ReadableFolder
 from factory.scenes.importer.stage import BROKEN_PRIM, PrimPlacement, find_unseen, open_stage, walk_stage
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.support.numpy_types import Floats

@@ -14,7 +14,7 @@ from typing import Any
 from pxr import Sdf, UsdShade
 
 from factory.scenes.importer.assets import asset_path, read_asset, sibling
-from factory.scenes.importer.model import GRAY, Affine, Colour, Surface
+from factory.scenes.importer.content import GRAY, Affine, Colour, Surface
 
 _WHITE: Colour = (1.0, 1.0, 1.0)
 _BLACK: Colour = (0.0, 0.0, 0.0)

@@ -11,8 +11,8 @@ import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats, Ints
-from schemas.support.vectors import cross
 
 _NONE = np.zeros((0, 3), np.int64)
 

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.light.charts import Charts, number_rows
-from factory.scenes.light.patches import SQUARE, interpolate
+from factory.scenes.light.charts import SQUARE, Charts, interpolate, number_rows
 from schemas.support import portable
+from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats, Ints
-from schemas.support.vectors import cross
 
 _ROUND_COS = math.cos(math.radians(46.0))
 """Cosine of the largest angle between faces that are shaded as one smooth surface. The sides of an octagon are smooth,

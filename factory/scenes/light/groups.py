@@ -1,26 +1,70 @@
 """Bakes the light groups of a compiled scene: casts rays to each lamp group from the texels of its light map.
 
-Needs the package only. Does not change the light map; the result is the share of each group in its light.
+Needs the package only. Does not change the light map; the result is the share of each group in its light. Results are
+kept in the cache; one process bakes them, and others wait.
 """
 
 from __future__ import annotations
 
+import time
+from pathlib import Path
+
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
+from factory.scenes.cached import write_whole
 from factory.scenes.light.bake import FINE_LAMPS, FINE_SKY, texel_maps, texel_mask
-from factory.scenes.light.charts import Charts, find_charts
+from factory.scenes.light.charts import Charts, Unwrap, find_charts
 from factory.scenes.light.curves import find_bends
-from factory.scenes.light.irradiance import lamp_light, sky_light
-from factory.scenes.light.lamps import Lamps, find_lamps
-from factory.scenes.light.smooth import fill_hidden, smooth_charts
+from factory.scenes.light.irradiance import Lamps, find_lamps, lamp_light, sky_light
+from factory.scenes.light.smooth import CONTACT, FLOOR, SHELTER, SKY_SHARE, fill_hidden, smooth_charts
 from factory.scenes.light.texels import lay_texels
-from factory.scenes.light.tone import CONTACT, FLOOR, SHELTER, SKY_SHARE
-from factory.scenes.light.unwrap import Unwrap
-from schemas.appearance.light_groups import SCREENS, LampGroup, LightGroups, LightGroupsInfo
-from schemas.scene import CompiledScene
+from schemas.appearance.light_groups import (
+    LIGHT_FORMAT,
+    SCREENS,
+    LampGroup,
+    LightGroups,
+    LightGroupsInfo,
+    encode_light_groups,
+)
+from schemas.scene import CompiledScene, read_scene
+from schemas.storage.disk import translated
+from schemas.support.extras import require_package
 from schemas.support.numpy_types import Bools, Floats, Ints
+from workers.client.host_lock import exclusive_lock
 from workers.geometry.rays import Caster
+
+_POLL_S = 0.2
+
+
+def bake_once(package: Path, sha256: str, folder: Path) -> Path:
+    """Returns the file of the light groups of a package, which is baked if the folder does not have it.
+
+    Args:
+        package: compiled scene.
+        sha256: digest of the package.
+        folder: folder of light groups; created if missing.
+
+    Raises:
+        InvalidBundle: the package is damaged.
+        UsageError: embreex is not installed.
+        WorldError: the folder cannot be written.
+    """
+    path = folder / f"{sha256}-{LIGHT_FORMAT}.light.zip"
+    if path.is_file():
+        return path
+    require_package("embreex", "randomised light")
+
+    with translated("write", folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with exclusive_lock(folder / f"{sha256}.lock", lambda: time.sleep(_POLL_S)):
+            if not path.is_file():
+                scene = read_scene(package)
+                structlog.get_logger(__name__).info("light_groups_baked", scene=scene.info.name, path=str(path))
+                write_whole(path, encode_light_groups(bake_light_groups(scene, sha256)))
+    return path
+
 
 _CEILING_GROUPS = 6
 """Largest number of groups of lamps that shine down."""

@@ -8,10 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.light.charts import Charts
+from factory.scenes.light.charts import Charts, Unwrap, interpolate
 from factory.scenes.light.curves import Bends
-from factory.scenes.light.patches import interpolate
-from factory.scenes.light.unwrap import Unwrap
 from schemas.support.numpy_types import Bools, Floats, Ints
 
 PATTERNS = 64

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from schemas.errors import WorldError
+from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats
-from schemas.support.vectors import cross
 
 FLOOR_TOLERANCE_M = 0.03
 """Maximum vertical distance of a floor surface from the height of the floor, metres."""

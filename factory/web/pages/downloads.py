@@ -17,7 +17,7 @@ from starlette.responses import FileResponse, Response
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode
 from factory.dataset.packages import ScenePackage
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.lerobot.v30 import LeRobotExporter
 from factory.export.mcap.exporter import McapExporter
 from factory.export.options import McapOptions

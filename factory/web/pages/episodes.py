@@ -11,9 +11,8 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from factory.web.context import WebContext, context_of, page
-from factory.web.first_rows import read_first_rows
 from factory.web.frames import first_frames
-from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_query
+from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_query, read_first_rows
 
 PAGE_ROWS = 50
 """Number of episodes on a page."""

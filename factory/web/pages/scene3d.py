@@ -17,7 +17,7 @@ from factory.web.context import context_of, page
 from factory.web.pages.find import find_episode
 from factory.web.pages.scenes import package_named
 from schemas.errors import UsageError
-from schemas.support.planar import yaw_of
+from schemas.support.geometry import yaw_of
 
 _KEPT = 2
 """Number of meshes that are kept; one has up to 30 MB."""

@@ -14,8 +14,7 @@ import numpy as np
 from schemas.language import thresholds as limit
 from schemas.language.expression import Landmark, Relation
 from schemas.language.generator.masks import Described, Masks, above, below
-from schemas.language.graph.scene_graph import SceneGraph, SceneObject
-from schemas.language.graph.tops import SurfaceTop
+from schemas.language.graph.scene_graph import SceneGraph, SceneObject, SurfaceTop
 from schemas.language.kinds import UNKNOWN, may_be_called
 from schemas.support.numpy_types import Bools, Floats
 

@@ -1,16 +1,16 @@
-"""Scene graph: the objects of a compiled scene that words can name, with their geometry, rooms and walls.
+"""Scene graph: the objects of a compiled scene that words can name, with their geometry, rooms, walls and tops.
 
-Computed once for each scene. Does not interpret expressions.
+Computed once for each scene. Does not interpret expressions and decides nothing about words.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from schemas.language.graph.barriers import find_barriers
 from schemas.language.graph.objects import RawObject, find_objects
 from schemas.language.graph.rooms import (
     THRESHOLD_M,
@@ -23,11 +23,112 @@ from schemas.language.graph.rooms import (
     opening_gaps,
     wall_gaps,
 )
-from schemas.language.graph.tops import SurfaceTop, find_tops
 from schemas.language.kinds import UNNAMED, Kinds, kinds
 from schemas.language.thresholds import TOUCH_M
 from schemas.scene import CompiledScene, SceneInfo
 from schemas.support.numpy_types import Bools, Floats, Ints
+
+_WALL = 2
+_FAR_M = 7.0
+"""Distance between the middles of two objects beyond which no line is traced, metres."""
+_END_M = 0.06
+"""Width of a margin around both objects, metres; a wall within it does not count as a wall between them."""
+_SAMPLES = 128
+_CHUNK = 4096
+
+
+def find_barriers(low: Floats, high: Floats, sight: CellGrid) -> Bools:
+    """Returns the (N, N) pairs of objects with a wall between them, omitting pairs whose middles are 7 m or more apart.
+
+    Args:
+        low: (N, 2) lower corners of the bounding rectangles, metres.
+        high: (N, 2) upper corners, metres.
+        sight: grid with the value 2 in the cells of walls.
+    """
+    middle, found = (low + high) / 2, np.zeros((len(low), len(low)), bool)
+    one, two = np.triu_indices(len(low), 1)
+    near = np.hypot(*(middle[one] - middle[two]).T) < _FAR_M
+    one, two = one[near], two[near]
+    share = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES)[:, None]
+    for begin in range(0, len(one), _CHUNK):
+        a, b = one[begin : begin + _CHUNK], two[begin : begin + _CHUNK]
+        points = middle[a, None] + share * (middle[b] - middle[a])[:, None]
+        wall = np.asarray(sight.at(points) == _WALL)
+        for end in (a, b):
+            inside = (points > low[end, None] - _END_M) & (points < high[end, None] + _END_M)
+            wall &= ~inside.all(axis=-1)
+        found[a, b] = found[b, a] = wall.any(axis=1)
+    return found
+
+
+_FLAT_M, _FLAT_SHARE, _UPRIGHT = 0.02, 0.6, 0.98
+"""A top is flat if faces within the height `_FLAT_M` (metres) below it, whose unit normals have a z above `_UPRIGHT`,
+cover the share `_FLAT_SHARE` of the footprint."""
+_ABOVE_M = 0.6
+"""Height of the space above a top, metres. A top is empty only if no other instance reaches into this space."""
+_EDGE_M = 0.03
+"""Width at the edge of a top that is not examined, because walls and other furniture touch it, metres."""
+
+Corner = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SurfaceTop:
+    """Flat upper side of an object."""
+
+    height_m: float
+    """z in the world frame, metres."""
+    above: tuple[tuple[Corner, Corner], ...]
+    """Lower and upper corners of the boxes around all other instances with a face in the space above it, metres."""
+
+
+def find_tops(scene: CompiledScene, objects: Mapping[int, tuple[Sequence[int], Floats]]) -> dict[int, SurfaceTop]:
+    """Returns the flat tops of objects; objects without one are omitted.
+
+    Args:
+        scene: compiled scene.
+        objects: number of each object -> instance ids of its parts, and vertices (K, 2) of its footprint, metres.
+    """
+    if not objects:
+        return {}
+    faces = scene.positions.reshape(-1, 3, 3).astype(np.float64)
+    order = np.argsort(scene.part_first, kind="stable")
+    owner = np.repeat(scene.part_instance[order].astype(np.int64), scene.part_count[order] // 3)
+    low, high = faces.min(axis=1), faces.max(axis=1)
+    found = {number: _top_of(faces, low, high, owner, *own) for number, own in objects.items()}
+    return {number: top for number, top in found.items() if top is not None}
+
+
+def _top_of(
+    faces: Floats, low: Floats, high: Floats, owner: Ints, ids: Sequence[int], outline: Floats
+) -> SurfaceTop | None:
+    own = np.isin(owner, ids)
+    if not own.any():
+        return None
+    floor, top = low[own].min(axis=0), high[own].max(axis=0)
+    ahead = np.roll(outline, -1, axis=0)
+    area = float(outline[:, 0] @ ahead[:, 1] - ahead[:, 0] @ outline[:, 1]) / 2
+    if not _is_flat_top(faces[own], float(top[2]), area):
+        return None
+    inside = (low[:, :2] < top[:2] - _EDGE_M).all(axis=1) & (high[:, :2] > floor[:2] + _EDGE_M).all(axis=1)
+    inside &= (low[:, 2] < top[2] + _ABOVE_M) & (high[:, 2] > top[2] + _FLAT_M) & ~own
+    boxes = [_box(low, high, owner == number) for number in np.unique(owner[inside]).tolist()]
+    return SurfaceTop(float(top[2]), tuple(boxes))
+
+
+def _is_flat_top(faces: Floats, top_m: float, area_m2: float) -> bool:
+    """Returns whether horizontal faces at the top cover most of the area of the footprint."""
+    level = faces[(faces[:, :, 2] > top_m - _FLAT_M).all(axis=1)]
+    normal = np.cross(level[:, 1] - level[:, 0], level[:, 2] - level[:, 0])
+    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    upright = normal[:, 2] / length > _UPRIGHT
+    return float(normal[upright, 2].sum()) / 2 >= _FLAT_SHARE * area_m2
+
+
+def _box(low: Floats, high: Floats, chosen: Bools) -> tuple[Corner, Corner]:
+    (x0, y0, z0), (x1, y1, z1) = low[chosen].min(axis=0).tolist(), high[chosen].max(axis=0).tolist()
+    return (x0, y0, z0), (x1, y1, z1)
+
 
 _LOW_M, _TALL_M = 0.6, 1.6
 _BETWEEN_ROOMS = frozenset({"door", "gate", "window"})

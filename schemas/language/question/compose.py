@@ -16,13 +16,12 @@ from schemas.language import thresholds as limit
 from schemas.language.compose import Composer
 from schemas.language.draw import draw_weighted
 from schemas.language.expression import Expression
-from schemas.language.file import SpokenLanguage
 from schemas.language.generator.view_facts import ViewFacts
 from schemas.language.graph.view import SceneView, look
 from schemas.language.instruction import Instruction
 from schemas.language.kinds import UNKNOWN
-from schemas.language.question.images import FrameImages
-from schemas.language.question.model import (
+from schemas.language.language_file import SpokenLanguage
+from schemas.language.question.meaning import (
     AnswerKind,
     Question,
     QuestionKind,
@@ -31,9 +30,9 @@ from schemas.language.question.model import (
     SeenSide,
 )
 from schemas.language.question.movements import movements
-from schemas.language.question.verify import QuestionVerifier
+from schemas.language.question.verify import FrameImages, QuestionVerifier
 from schemas.language.question.words import question_words
-from schemas.language.route.model import DrivenPath
+from schemas.language.route.meaning import DrivenPath
 from schemas.language.route.steps import SceneRoutes
 from schemas.support.numpy_types import Floats, Ints
 from schemas.terms import CATEGORIES

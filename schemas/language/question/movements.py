@@ -9,10 +9,10 @@ import numpy as np
 
 from schemas.language import thresholds as near
 from schemas.language.graph.view import look
-from schemas.language.question.model import AnswerKind, QuestionKind, QuestionMeaning, ReasonKind
+from schemas.language.question.meaning import AnswerKind, QuestionKind, QuestionMeaning, ReasonKind
 from schemas.language.route import thresholds as limit
 from schemas.language.route.doorways import doorway_of, room_changes
-from schemas.language.route.model import DrivenPath, TurnSize
+from schemas.language.route.meaning import DrivenPath, TurnSize
 from schemas.language.route.segment import divide_path
 from schemas.language.route.steps import SceneRoutes
 

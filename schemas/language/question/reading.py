@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 from pydantic import ValidationError
 
 from schemas.language.expression import Expression
-from schemas.language.question.model import AnswerKind, QuestionKind, QuestionMeaning, ReasonKind, SeenSide
+from schemas.language.question.meaning import AnswerKind, QuestionKind, QuestionMeaning, ReasonKind, SeenSide
 from schemas.language.question.words import SLOT, question_words
 from schemas.language.sentence.grammar import alternatives
 from schemas.language.sentence.reading import Reader

@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.base import Model, Name
 from schemas.language.kinds import DATA
-from schemas.language.question.model import (
+from schemas.language.question.meaning import (
     AnswerKind,
     Question,
     QuestionKind,

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.language.draw import draw_weighted
-from schemas.language.file import LanguageSpec, SpokenLanguage
-from schemas.language.route.model import DrivenPath, RouteStep, RouteText, StepKind, SubInstruction
+from schemas.language.language_file import LanguageSpec, SpokenLanguage
+from schemas.language.route.meaning import DrivenPath, RouteStep, RouteText, StepKind, SubInstruction
 from schemas.language.route.reading import RouteReader, route_reader
 from schemas.language.route.steps import RouteSearch, SceneRoutes, SpannedStep
 from schemas.language.route.verify import RouteVerifier

@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # imports `scipy.ndimage` at its first use
 
 from schemas.language.graph.scene_graph import SceneGraph
-from schemas.language.route.model import DrivenPath
+from schemas.language.route.meaning import DrivenPath
 from schemas.language.route.thresholds import DOORWAY_M
 from schemas.support.numpy_types import Floats
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from schemas.language.route.model import RobotSide, RouteStep, StepKind, TurnSize
+from schemas.language.route.meaning import RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.words import SLOT, RouteWords, route_words
 from schemas.language.sentence.grammar import SentencePattern
 from schemas.language.sentence.reading import Reader

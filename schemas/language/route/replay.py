@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.language.graph.scene_graph import SceneGraph
-from schemas.support.planar import footprint_distances
+from schemas.support.geometry import footprint_distances
 
 _EVERY = 4
 _RAY_M = 0.03

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from schemas.language.route.model import DrivenPath, TurnSize
+from schemas.language.route.meaning import DrivenPath, TurnSize
 from schemas.language.route.thresholds import RUN_M, STRAIGHT_RAD, TURN_RAD
 from schemas.support.numpy_types import Floats, Ints
 

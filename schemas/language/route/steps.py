@@ -19,7 +19,7 @@ from schemas.language.graph.view import SceneView, look
 from schemas.language.kinds import UNKNOWN
 from schemas.language.route import thresholds as limit
 from schemas.language.route.doorways import RoomChange, RoomPassage, doorway_of, room_changes
-from schemas.language.route.model import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
+from schemas.language.route.meaning import DrivenPath, RobotSide, RouteStep, StepKind, TurnSize
 from schemas.language.route.segment import PathPart, divide_path
 from schemas.language.scene import SceneLanguage
 from schemas.language.sentence.grammar import Grammar

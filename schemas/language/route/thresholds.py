@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
-from schemas.language.route.model import TurnSize
+from schemas.language.route.meaning import TurnSize
 from schemas.language.thresholds import Band
 
 TURN_RAD = MappingProxyType(

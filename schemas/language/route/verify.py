@@ -18,7 +18,7 @@ from schemas.language.graph.scene_graph import SceneGraph
 from schemas.language.graph.view import look
 from schemas.language.route import thresholds as limit
 from schemas.language.route.doorways import RoomPassage
-from schemas.language.route.model import RobotSide, RouteStep, RouteText, StepKind
+from schemas.language.route.meaning import RobotSide, RouteStep, RouteText, StepKind
 from schemas.language.route.reading import RouteReader
 from schemas.language.route.replay import PoseReplay
 from schemas.language.verifier.verify import Verifier

@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.base import Model, Name
 from schemas.language.kinds import DATA
-from schemas.language.route.model import RobotSide, RouteStep, StepKind
+from schemas.language.route.meaning import RobotSide, RouteStep, StepKind
 from schemas.language.sentence.grammar import Grammar, Patterns, SentencePattern, alternatives
 
 SLOT = re.compile(r"\{(np|turn|pass|room|metres)(?::([a-z]+))?\}")

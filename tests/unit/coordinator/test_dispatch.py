@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from coordinator.protocol.bundles import Pull
 from coordinator.protocol.dispatch import Dispatch
-from coordinator.protocol.pulls import Pull
 from schemas.protocol.messages import Lease
 from tests.builders.bundle import job_for
 from tests.builders.ledger import room_catalog

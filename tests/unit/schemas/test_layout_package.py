@@ -26,10 +26,9 @@ from schemas.scene import (
     read_info,
     read_scene,
 )
-from schemas.scene.columns import join_light, join_positions, split_light, split_positions
 from schemas.scene.complete import complete_package, require_sound, split_package
 from schemas.scene.files import copy_package, faulty_textures
-from schemas.scene.package import PACKAGE_LIMITS
+from schemas.scene.package import PACKAGE_LIMITS, join_light, join_positions, split_light, split_positions
 from tests.builders.layout_package import MadeLayout, layout_scene, make_layout
 from tests.builders.scene import box_room
 

@@ -10,7 +10,7 @@ import pytest
 from schemas.config import TaskConfig
 from schemas.errors import WorldError
 from schemas.measure import Goal
-from schemas.support.planar import footprint_distances
+from schemas.support.geometry import footprint_distances
 from schemas.terms import SuccessMeasure
 from tests.builders.scene import box_room
 

@@ -1,19 +1,291 @@
 """Layout of the family `hospital`: wards, treatment rooms, a waiting hall and service rooms along halls.
 
-The kinds, sizes, order and doors of the rooms, the halls and the style differ by seed. `hospital_rooms` furnishes the
-rooms.
+The kinds, sizes, order and doors of the rooms, the halls and the style differ by seed. Lengths in metres. Places larger
+props first. Does not build walls.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
+
 from factory.scenes.author.circulation import HALL, RoomSpec, l_hall, ring_hall, spine_hall, t_hall
 from factory.scenes.author.dwelling import BuildingLook, BuiltRoom, RoomLook, build_rooms
-from factory.scenes.author.layouts.hospital_rooms import furnish_hospital
+from factory.scenes.author.furnisher import Furnisher, complete, enter, kitchen_row, round_table, seat_group, workplace
 from factory.scenes.author.materials import SurfaceMaterial, painted, tinted, wood
 from factory.scenes.author.partition import Division, Doors, divide_floor, turned
-from factory.scenes.author.placement import FloorPlan, Rectangle
-from factory.scenes.author.room import Trim, marking
+from factory.scenes.author.placement import FACING, FloorPlan, PropPlacement, Rectangle
+from factory.scenes.author.room import WALL_THICKNESS_M, Trim, marking
 from factory.scenes.author.style import CLINIC, Palette, draw_palette
+
+_EVERYWHERE = {"SM_FireExtinguisher_02": 4, "SM_Whiteboard_A": 4, "SM_TrashCan_A": 5, "SM_ChairWaiting_E": 4}
+"""Pieces that every hospital has, with their minimum numbers."""
+_OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
+_SEATS = ("SM_ChairWaiting_E", "SM_ChairVisitor_C")
+_BED_GAP_M = 0.1
+_SEAT_PITCH_M = 0.66
+_SIGNED = ("ward", "exam", "consulting")
+"""Rooms with a sign above their doors."""
+
+
+def furnish_hospital(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette, clutter: float) -> None:
+    """Furnishes every room by its kind; `clutter` is the probability of each small thing."""
+    kinds: dict[str, Callable[[Furnisher], None]] = {
+        "ward": _ward,
+        "exam": _exam,
+        "waiting": _waiting,
+        "reception": _reception,
+        "nurses": _nurses,
+        "staff": _staff,
+        "consulting": _consulting,
+        "store": _store,
+        "wash": _wash,
+        "hall": _hall,
+    }
+    own = [Furnisher(plan, room, palette, clutter) for room in rooms]
+    enter(own, ("reception", "hall", "waiting"), plan.pick(39))
+    for each in own:
+        kinds[each.room.kind](each)
+        if each.room.kind in _SIGNED:
+            _signs(each)
+    complete(plan, own, _EVERYWHERE, ("ward", "exam", "waiting", "reception", "nurses", "staff", "consulting", "hall"))
+    for each in own:
+        each.hang_all()
+
+
+def _signs(own: Furnisher) -> None:
+    """Mounts a lit sign above each door, on the outside of the room."""
+    for side, centres in own.room.doors.items():
+        for centre in centres:
+            out = WALL_THICKNESS_M
+            x = {"W": own.area.x0 - out, "E": own.area.x1 + out}.get(side, centre)
+            y = {"S": own.area.y0 - out, "N": own.area.y1 + out}.get(side, centre)
+            own.plan.add(own.model("SM_Sign", 1), x, y, FACING[_OPPOSITE[side]], 0.06)
+
+
+def _ward(own: Furnisher) -> None:
+    """Places beds with their heads at one or two walls, curtains between them, visitors' seats, basin and cabinet."""
+    look = own.plan.pick(6)
+    sides = sorted(own.sides(), key=lambda side: (side in own.room.doors, side in own.room.outside))
+    beds = _bed_row(own, sides[0], look)
+    if beds < 2 or own.rng.random() < 0.35:
+        beds += _bed_row(own, sides[1], look)
+    if beds == 0:
+        _beside_bed(own, own.wall_piece("SM_Bed", look, clearance=0.3, gap=_BED_GAP_M), look, 1.0)
+    own.wall_piece("SM_WashUnit", 0, clearance=0.3)
+    own.wall_piece("SM_Cabinet", own.plan.pick(2), clearance=0.3)
+    if own.rng.random() < 0.45:
+        own.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    extra = ("SM_Stool_F", "SM_WheelChair", "SM_Trolley", "SM_ChairWood_D")[own.plan.pick(4)]
+    own.small(("SM_TrashCan_A", extra, "SM_Plant_A"), 0.4)
+    own.hang(("SM_Television", "SM_PictureFrame")[own.plan.pick(2)])
+    own.hang("SM_PictureFrame")
+    own.hang("SM_Poster")
+
+
+def _bed_row(own: Furnisher, side: str, look: int) -> int:
+    """Places beds side by side with their heads at a wall, and returns their number."""
+    rng, plan, count = own.rng, own.plan, 0
+    pitch = float(rng.uniform(2.0, 2.5))
+    places = max(1, int((own.length(side) - 0.6) // pitch))
+    bed = own.model("SM_Bed", look)
+    for place in range(places):
+        along = (place + 0.5) * own.length(side) / places
+        x, y = own.at_wall(side, along, float(bed.high[1]) + _BED_GAP_M)
+        model = own.model("SM_Bed", look + place)
+        if plan.meets(model, x, y, FACING[side]):
+            continue
+        found = plan.place(model, x, y, FACING[side], own.area, 0.35)
+        if found is None:
+            continue
+        _beside_bed(own, found, look, 1.0 if place % 2 else -1.0)
+        if count and rng.random() < 0.7:
+            between = own.at_wall(side, along - own.length(side) / places / 2, 0.36)
+            plan.place(own.model("SM_Curtain", look), *between, FACING[side], own.area, 0.0)
+        count += 1
+    return count
+
+
+def _beside_bed(own: Furnisher, bed: PropPlacement | None, look: int, turn: float) -> None:
+    """Adds a service panel above a bed, a night stand, and in some cases an infusion stand and a visitor's chair."""
+    if bed is None:
+        return
+    plan, rng = own.plan, own.rng
+    c, s, back = math.cos(bed.yaw), math.sin(bed.yaw), float(bed.model.high[1]) + _BED_GAP_M
+    wall_x, wall_y = bed.x - s * (back - 0.065), bed.y + c * (back - 0.065)
+    plan.hang_at(own.model("SM_HeadPanel", 0), wall_x, wall_y, bed.yaw)
+    own.beside("SM_Nightstand", look, bed, turn * 0.78, 0.0)
+    if rng.random() < 0.6:
+        own.beside("SM_DripStand", 0, bed, -turn * 0.74, 0.0)
+    if rng.random() < 0.75:
+        shift, reach = turn * float(rng.uniform(0.95, 1.1)), float(rng.uniform(0.2, 0.9))
+        x, y = bed.x + c * shift + s * reach, bed.y + s * shift - c * reach
+        yaw = bed.yaw - turn * math.pi / 2 + float(rng.uniform(-0.3, 0.3))
+        kind = (*_SEATS, "SM_ChairWood_D")[plan.pick(3)]
+        plan.place(own.model(kind), x, y, yaw, own.area, 0.04)
+
+
+def _exam(own: Furnisher) -> None:
+    """Places a couch, a desk with a screen, a trolley, a basin, cabinets, stools and a board."""
+    plan = own.plan
+    bed = own.wall_piece("SM_Bed", plan.pick(6), clearance=0.4, gap=0.15)
+    if bed is not None and own.rng.random() < 0.5:
+        own.beside("SM_DripStand", 0, bed, 0.74, 0.0)
+    desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
+    workplace(own, desk, plan.pick(5))
+    own.wall_piece("SM_WashUnit", 0, clearance=0.25)
+    own.wall_piece("SM_Cabinet", plan.pick(2), clearance=0.25)
+    own.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    own.small(("SM_Trolley", "SM_Stool_F", "SM_TrashCan_A", "SM_ChairVisitor_C", "SM_FireExtinguisher_02"), 0.4)
+    own.hang("SM_Poster", 2)
+    own.hang("SM_ClockWall")
+
+
+def _waiting(own: Furnisher) -> None:
+    """Places seats in rows, along the walls or in groups, a television, plants, machines and things for children."""
+    plan = own.plan
+    kind, look = _SEATS[plan.pick(2)], plan.pick(5)
+    has_rows = own.rng.random() < 0.65
+    (_seats_in_rows if has_rows else _seats_at_walls)(own, kind, look)
+    if own.rng.random() < 0.5:
+        seat_group(own, rug=plan.pick(3))
+    if own.rng.random() < 0.5:
+        own.wall_piece("SM_VendingMachine", clearance=0.3)
+    for share in () if has_rows else (0.3, 0.7):
+        x, y = own.area.x0 + share * own.area.width, own.area.y0 + share * own.area.depth
+        round_table(own, (x, y), kind, look)
+    own.wall_piece("SM_Whiteboard_A", clearance=0.3)
+    own.corner("SM_Plant_A")
+    own.corner("SM_Plant_A")
+    own.small(("SM_TrashCan_A", "SM_TrashCan_A", "SM_WaterDispenser", "SM_FireExtinguisher_02", "SM_ToyPile"), 0.45)
+    own.hang("SM_Television")
+    own.hang("SM_Poster", 2)
+    own.hang("SM_PictureFrame", 3)
+    own.hang("SM_ClockWall")
+
+
+def _seats_in_rows(own: Furnisher, kind: str, look: int) -> None:
+    """Places double rows of seats back to back in the middle, with aisles of at least 1.6 m."""
+    plan, area = own.plan, own.area
+    is_along_x = area.width >= area.depth
+    length, across = (area.width, area.depth) if is_along_x else (area.depth, area.width)
+    seats = max(2, int((length - 3.2) // _SEAT_PITCH_M))
+    rows = max(1, int((across - 1.6) // 3.0))
+    for row in range(rows):
+        for seat in range(seats):
+            for side, yaw in ((-1, 0.0), (1, math.pi)):
+                if own.rng.random() < 0.1 or (seats > 6 and seat == seats // 2):
+                    continue
+                u = length / 2 + (seat - (seats - 1) / 2) * _SEAT_PITCH_M
+                v = (row + 0.5) * across / rows + side * 0.34
+                x, y = (area.x0 + u, area.y0 + v) if is_along_x else (area.x0 + v, area.y0 + u)
+                variant = look if own.rng.random() < 0.85 else look + 1
+                plan.place(own.model(kind, variant), x, y, yaw if is_along_x else -yaw - math.pi / 2, area, 0.0)
+
+
+def _seats_at_walls(own: Furnisher, kind: str, look: int) -> None:
+    """Places rows of seats along the walls around an open floor."""
+    for side in own.sides()[:3]:
+        count = max(2, int(own.length(side) * 0.55 // _SEAT_PITCH_M))
+        model = own.model(kind, look)
+        for seat in range(count):
+            if own.rng.random() < 0.88:
+                along = own.length(side) / 2 + (seat - (count - 1) / 2) * _SEAT_PITCH_M
+                x, y = own.at_wall(side, along, float(model.high[1]) + 0.1)
+                own.plan.place(
+                    own.model(kind, look if own.rng.random() < 0.8 else look + 1), x, y, FACING[side], own.area, 0.0
+                )
+
+
+def _reception(own: Furnisher) -> None:
+    """Places one or two counters, stools and cabinets behind them, and seats in front of them."""
+    plan, side = own.plan, own.sides()[0]
+    shares = (0.28, 0.72) if own.length(side) > 7.4 else (0.5,)
+    variant = plan.pick(3)
+    for share in shares:
+        x, y = own.at_wall(side, share * own.length(side), 1.75)
+        found = plan.place(own.model("SM_Reception", variant), x, y, FACING[side], own.area, 0.3)
+        if found is not None:
+            own.before("SM_ChairOffice_A", None, found, -0.75, 0.2, math.pi)
+            own.on_top("SM_Monitor_A", None, found, 0.74, -0.4, 0.05, math.pi)
+    for _ in range(2):
+        own.wall_piece("SM_Cabinet", plan.pick(3), side, 0.02)
+    kind, look = _SEATS[plan.pick(2)], plan.pick(5)
+    for _ in range(3 + plan.pick(3)):
+        own.wall_piece(kind, look, None, 0.06, 0.1)
+    own.corner("SM_Plant_A")
+    own.small(("SM_TrashCan_A", "SM_FireExtinguisher_02", "SM_WaterDispenser", "SM_WheelChair", "SM_Plant_A"), 0.45)
+    own.hang("SM_ClockWall")
+    own.hang("SM_Poster", 2)
+
+
+def _nurses(own: Furnisher) -> None:
+    """Places desks with screens along the walls, a board, trolleys and cabinets."""
+    for _ in range(2 + own.plan.pick(2)):
+        desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
+        workplace(own, desk, own.palette.cover, is_second=True)
+    own.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    own.wall_piece("SM_Cabinet", own.plan.pick(3), clearance=0.2)
+    own.small(("SM_Trolley", "SM_TrashCan_A", "SM_Trolley", "SM_Plant_A", "SM_FireExtinguisher_02"), 0.35)
+    own.hang("SM_ClockWall")
+    own.hang("SM_PinBoard")
+
+
+def _staff(own: Furnisher) -> None:
+    """Places a row of kitchen units, a round table, a sofa and lockers."""
+    kitchen_row(own, own.sides(), own.palette.wood, ("SM_SinkUnit", "SM_KitchenUnit", "SM_KitchenUnit"),
+                ("SM_CoffeeMachine", "SM_Microwave"))  # fmt: skip
+    own.wall_piece("SM_Locker", own.palette.cover, clearance=0.2)
+    table = round_table(own, own.area.centre, "SM_ChairWood_D", own.palette.wood)
+    own.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
+    own.wall_piece("SM_Sofa_A", own.palette.cover, clearance=0.4, gap=0.05)
+    own.small(("SM_TrashCan_A", "SM_Plant_A", "SM_CoatStand", "SM_Backpack"), 0.35)
+    own.hang("SM_PinBoard")
+    own.hang("SM_PictureFrame", 2)
+
+
+def _consulting(own: Furnisher) -> None:
+    """Places a doctor's desk with seats for visitors, a couch and shelves."""
+    desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.5, gap=0.06)
+    workplace(own, desk, own.palette.cover)
+    own.small(("SM_ChairVisitor_C", "SM_ChairVisitor_C", "SM_TrashCan_A", "SM_Plant_A", "SM_Stool_F"), 0.35)
+    own.wall_piece("SM_ShelfBook_B", own.palette.wood, clearance=0.25)
+    own.wall_piece("SM_WashUnit", 0, clearance=0.2)
+    own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3), ("SM_BookRow", "SM_Papers", "SM_Flasks"))
+    own.hang("SM_PictureFrame", 2)
+    own.hang("SM_Poster")
+
+
+def _store(own: Furnisher) -> None:
+    """Places steel shelves, cartons, wheelchairs and stands."""
+    for number in range(2 + own.plan.pick(2)):
+        own.wall_piece("SM_ShelfSteel_A", number, clearance=0.12)
+    own.small(("SM_WheelChair", "SM_CartonSingle", "SM_Trolley", "SM_CartonSingle", "SM_DripStand"), 0.25)
+
+
+def _wash(own: Furnisher) -> None:
+    """Places toilets, basins and bins."""
+    for _ in range(2):
+        own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
+        own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
+    own.small(("SM_TrashCan_A", "SM_TrashCan_A"), 0.3)
+
+
+def _hall(own: Furnisher) -> None:
+    """Places extinguishers, bins, seats, trolleys and wheelchairs along the walls, and mounts notices and pictures."""
+    plan = own.plan
+    kind, look = _SEATS[plan.pick(2)], plan.pick(5)
+    for _ in range(plan.pick(4)):
+        own.wall_piece(kind, look, None, 0.06, 0.1)
+    names = ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_WheelChair", "SM_Trolley", "SM_Bench", "SM_WaterDispenser"]
+    if max(own.area.width, own.area.depth) > 9.0:
+        names += ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_Plant_A"]
+    own.small(names, 0.55)
+    own.hang("SM_ClockWall")
+    own.hang("SM_Poster", 2)
+    own.hang("SM_PictureFrame", 2)
+    own.hang("SM_PinBoard")
+
 
 _CEILINGS = ("tiles", "tiles", "tiles", "panels", "plain")
 _OPEN = {

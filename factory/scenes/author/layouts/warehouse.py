@@ -1,24 +1,264 @@
 """Layouts of the families `full_warehouse` and `warehouse_multiple_shelves`: a hall of one or more parts with rows of
 racks and shelves, gates, a staging floor, and, in most of them, an office, a break room and a washroom.
 
-The parts, sizes, rows, zones and style differ by seed. `racks` places the rows; `warehouse_floor` furnishes the rest.
+The parts, sizes, rows, zones and style differ by seed. `racks` places the rows.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from numpy.random import Generator
 
 from factory.scenes.author.circulation import HALL, Arrangement, Block, RoomSpec, Specs
-from factory.scenes.author.dwelling import BuildingLook, RoomLook, build_rooms
-from factory.scenes.author.layouts.warehouse_floor import HallKind, furnish_warehouse
+from factory.scenes.author.dwelling import BuildingLook, BuiltRoom, RoomLook, build_rooms
+from factory.scenes.author.furnisher import Furnisher, complete, enter, round_table, workplace
+from factory.scenes.author.layouts.racks import RackPlan, fill_with_racks
 from factory.scenes.author.materials import painted, tinted
 from factory.scenes.author.partition import Division, Doors, divide_floor, turned
-from factory.scenes.author.placement import FloorPlan, Rectangle
-from factory.scenes.author.room import Trim
+from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
+from factory.scenes.author.room import Trim, marking
 from factory.scenes.author.style import HALL as HALL_FINISHES
 from factory.scenes.author.style import Palette, draw_palette
+from schemas.errors import WorldError
+
+_EVERYWHERE = {
+    "SM_RackPile_04": 4,
+    "SM_BarelPlastic_A": 5,
+    "SM_CratePlastic_A": 4,
+    "SM_CrateWood_B": 3,
+    "SM_ShelfSteel_A": 4,
+}
+"""Pieces that every warehouse has, with their minimum numbers."""
+_GOODS = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")
+_STAGED = (
+    "SM_CardBoxPile",
+    "SM_PalletPile",
+    "SM_CrateWood_B",
+    "SM_CardBoxPile",
+    "SM_BarelPlastic_A",
+    "SM_CratePlastic_A",
+)
+_TOOLS = ("SM_PalletTruck", "SM_Cone", "SM_StepLadder", "SM_Cone", "SM_PalletTruck", "SM_Fan", "SM_TrashCan_A")
+_GATE_PITCH_M = 4.4
+_GATE_CLEAR_M = 1.8
+_OPPOSITE = {"N": "S", "S": "N", "E": "W", "W": "E"}
+_LEAST_RACK_M = 7.0
+"""A part of the hall contains racks only if its shorter side has at least this length, metres."""
+
+
+class HallKind(NamedTuple):
+    """Kind of a warehouse. The properties of its rows are drawn at random within these limits."""
+
+    kinds: tuple[str, ...]
+    aisle_m: tuple[float, float]
+    double: float
+    """Largest probability of double rows."""
+    goods: int
+    """Number of goods along the walls in a hall of 500 m2."""
+
+
+def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette, kind: HallKind) -> None:
+    """Furnishes the parts of the hall and the side rooms.
+
+    Raises:
+        WorldError: the hall has no room for the minimum number of racks.
+    """
+    own = [Furnisher(plan, room, palette) for room in rooms]
+    parts = sorted((each for each in own if each.room.kind == HALL), key=lambda each: -_floor_of(each.area))
+    gates = _gates(parts[0])
+    enter(parts, (HALL,), 2 + 3 * plan.pick(13))
+    for number, part in enumerate(parts):
+        _hall(part, kind, gates if number == 0 else None)
+    side_rooms: dict[str, Callable[[Furnisher], None]] = {
+        "office": _office, "break": _break_room, "wash": _wash, "tools": _tools,
+    }  # fmt: skip
+    for each in own:
+        if each.room.kind in side_rooms:
+            side_rooms[each.room.kind](each)
+    complete(plan, parts, _EVERYWHERE)
+    racks = sum(placement.model.name.startswith("SM_RackPile_04") for placement in plan.placements)
+    if racks < _EVERYWHERE["SM_RackPile_04"]:
+        raise WorldError(f"room for only {racks} racks")
+    for each in own:
+        each.hang_all()
+
+
+def _floor_of(area: Rectangle) -> float:
+    return area.width * area.depth
+
+
+def _gates(own: Furnisher) -> str | None:
+    """Adds loading gates to one outer wall, and keeps the floor before them clear; returns the side."""
+    sides = [side for side in own.sides() if any(high - low > 4.5 for low, high in own.room.outside.get(side, ()))]
+    gate = own.model("SM_RollerGate", 0)
+    for side in sides:
+        found = 0
+        for low, high in own.room.outside[side]:
+            count = min(1 + own.plan.pick(4), int((high - low) // _GATE_PITCH_M))
+            for number in range(count):
+                along = low + (number + 0.5) * (high - low) / count
+                x = {"W": own.area.x0, "E": own.area.x1}.get(side, along)
+                y = {"S": own.area.y0, "N": own.area.y1}.get(side, along)
+                if own.plan.hang_at(gate, x, y, FACING[side]):
+                    reach = (1.7, _GATE_CLEAR_M) if side in "NS" else (_GATE_CLEAR_M, 1.7)
+                    own.plan.keep_clear(Rectangle(x - reach[0], y - reach[1], x + reach[0], y + reach[1]))
+                    found += 1
+        if found:
+            return side
+    return None
+
+
+def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
+    """Places racks in a part of the hall, goods on a staging floor before its gates, and shelves along its walls."""
+    area, rng = own.area, own.rng
+    if min(area.width, area.depth) < _LEAST_RACK_M:
+        _stage(own, area.grown(-0.6), 0.12)
+    else:
+        margin, ends = float(rng.uniform(2.2, 2.8)), float(rng.uniform(2.2, 3.2))
+        is_along_x = bool(rng.random() < (0.7 if area.width > area.depth else 0.3))
+        inner = area.grown(-margin)
+        inner = inner._replace(x0=area.x0 + ends, x1=area.x1 - ends) if is_along_x else inner._replace(
+            y0=area.y0 + ends, y1=area.y1 - ends)  # fmt: skip
+        inner, staging = _split(inner, gates, float(rng.uniform(0.0, 0.24)))
+        fill_with_racks(own, inner, _rack_plan(own, kind, is_along_x, inner))
+        if staging is not None:
+            _stage(own, staging, float(rng.uniform(0.06, 0.11)))
+    _along_walls(own, kind)
+
+
+def _split(area: Rectangle, side: str | None, share: float) -> tuple[Rectangle, Rectangle | None]:
+    """Returns the floor for racks and the floor before the gates, which is `None` if it is small or `side` is `None`.
+
+    Args:
+        area: floor to split.
+        side: side of the gates, if there are any.
+        share: share of the depth for the floor before the gates.
+    """
+    if side is None or share < 0.08:
+        return area, None
+    x, y = area.width * share, area.depth * share
+    return {
+        "W": (area._replace(x0=area.x0 + x), area._replace(x1=area.x0 + x - 1.2)),
+        "E": (area._replace(x1=area.x1 - x), area._replace(x0=area.x1 - x + 1.2)),
+        "S": (area._replace(y0=area.y0 + y), area._replace(y1=area.y0 + y - 1.2)),
+        "N": (area._replace(y1=area.y1 - y), area._replace(y0=area.y1 - y + 1.2)),
+    }[side]
+
+
+def _rack_plan(own: Furnisher, kind: HallKind, is_along_x: bool, area: Rectangle) -> RackPlan:
+    rng, plan = own.rng, own.plan
+    length = area.width if is_along_x else area.depth
+    crosses = (0, 1, 1, 1, 2)[plan.pick(5)] if length > 15.0 else (0, 1)[plan.pick(2)] if length > 9.5 else 0
+    cross = tuple((number + 1) / (crosses + 1) + float(rng.uniform(-0.1, 0.1)) for number in range(crosses))
+    first = plan.pick(len(kind.kinds))
+    return RackPlan(
+        kinds=(*kind.kinds[first:], *kind.kinds[:first]),
+        is_along_x=is_along_x,
+        aisle_m=float(rng.uniform(*kind.aisle_m)),
+        double=float(rng.uniform(0.0, kind.double)),
+        cross=cross,
+        ragged=float(rng.uniform(0.0, 0.4)),
+        filled=float(rng.uniform(0.88, 1.0)),
+        frame=plan.pick(12),
+    )
+
+
+def _stage(own: Furnisher, area: Rectangle, density: float) -> None:
+    """Places pallets, piles, crates and barrels in a painted frame on the floor, with ways around them."""
+    if area.width < 1.5 or area.depth < 1.5:
+        return
+    plan, rng = own.plan, own.rng
+    paint = painted(("Yellow", "White", "Blue")[plan.pick(3)], 0.6)
+    for line in (
+        area._replace(y1=area.y0 + 0.08), area._replace(y0=area.y1 - 0.08),
+        area._replace(x1=area.x0 + 0.08), area._replace(x0=area.x1 - 0.08),
+    ):  # fmt: skip
+        marking(plan, line, paint)
+    if rng.random() < 0.6:
+        _place(own, area, "SM_ForkLift", 1.0)
+    for _ in range(max(3, int(density * _floor_of(area)))):
+        _place(own, area, _STAGED[plan.pick(len(_STAGED))], 0.85)
+
+
+def _place(own: Furnisher, area: Rectangle, name: str, clearance: float) -> None:
+    """Places a piece somewhere in an area, parallel to the walls."""
+    model = own.model(name)
+    for _ in range(6):
+        x, y = (float(own.rng.uniform(low, high)) for low, high in ((area.x0, area.x1), (area.y0, area.y1)))
+        if own.plan.place(model, x, y, math.pi / 2 * own.plan.pick(4), own.area, clearance) is not None:
+            return
+
+
+def _along_walls(own: Furnisher, kind: HallKind) -> None:
+    """Places shelves, packing benches, goods alone and in clusters, tools and notices along the walls."""
+    plan, rng = own.plan, own.rng
+    share = _floor_of(own.area) / 500
+    for number in range(1 + round(rng.uniform(3, 8) * share)):
+        own.wall_piece("SM_ShelfSteel_A", None, None, 0.05 if number % 2 else 0.5)
+    for _ in range(round(rng.uniform(0.5, 3) * share)):
+        own.wall_piece("SM_Workbench", clearance=0.4)
+    for number in range(2 + round(kind.goods * share)):
+        plan.against_somewhere(own.model(_GOODS[number % 4]), own.area, own.sides(), 0.35)
+    for _ in range(round(rng.uniform(2, 7) * share)):
+        _cluster(own)
+    own.small([_TOOLS[k] for k in rng.permutation(len(_TOOLS))[: 2 + round(4 * share)]], 0.5)
+    for name in ("SM_PalletPile", "SM_CardBoxPile", "SM_PalletPile"):
+        plan.against_somewhere(own.model(name), own.area, own.sides(), 0.5)
+    own.small(("SM_FireExtinguisher_02",), 0.35)
+    own.hang("SM_SafetyNotice", 2 + round(4 * share))
+
+
+def _cluster(own: Furnisher) -> None:
+    """Places two to four equal goods close together near a wall."""
+    plan, rng, side = own.plan, own.rng, own.sides()[own.plan.pick(4)]
+    name, variant = _GOODS[plan.pick(4)], plan.pick(12)
+    along = float(rng.uniform(1.5, max(own.length(side) - 1.5, 1.6)))
+    for _ in range(2 + plan.pick(3)):
+        x, y = own.at_wall(side, along + float(rng.uniform(-0.8, 0.8)), 0.9 + float(rng.uniform(-0.35, 0.35)))
+        plan.place(own.model(name, variant), x, y, float(rng.uniform(-0.4, 0.4)), own.area, 0.02)
+
+
+def _office(own: Furnisher) -> None:
+    """Places desks with screens, a cabinet and a board."""
+    for _ in range(1 + own.plan.pick(2)):
+        desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
+        workplace(own, desk, own.palette.cover)
+    own.wall_piece("SM_Cabinet", own.plan.pick(3), clearance=0.25)
+    own.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    own.small(("SM_TrashCan_A", "SM_Plant_A", "SM_Printer"), 0.35)
+    own.hang("SM_ClockWall")
+    own.hang("SM_PinBoard")
+
+
+def _break_room(own: Furnisher) -> None:
+    """Places a table with chairs, lockers, a machine and a bin."""
+    round_table(own, own.area.centre, "SM_ChairWaiting_E", own.palette.cover)
+    own.wall_piece("SM_Locker", own.palette.cover, clearance=0.2)
+    own.wall_piece("SM_VendingMachine", clearance=0.2)
+    own.wall_piece("SM_Bench", own.palette.wood, clearance=0.2)
+    own.small(("SM_TrashCan_A", "SM_WaterDispenser", "SM_Plant_A"), 0.3)
+    own.hang("SM_PinBoard")
+    own.hang("SM_PictureFrame")
+
+
+def _wash(own: Furnisher) -> None:
+    """Places toilets, basins and a bin."""
+    own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
+    for _ in range(2):
+        own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
+    own.small(("SM_TrashCan_A",), 0.3)
+
+
+def _tools(own: Furnisher) -> None:
+    """Places shelves, a bench, a ladder and cartons."""
+    for _ in range(2):
+        own.wall_piece("SM_ShelfSteel_A", clearance=0.12)
+    own.wall_piece("SM_Workbench", clearance=0.3)
+    own.small(("SM_StepLadder", "SM_CartonSingle", "SM_CratePlastic_A", "SM_CartonSingle"), 0.3)
+
 
 _KICKS = ("#7d868d", "#5f7d8c", "#8a7d5c", "#7a8a6a", "#8c6a5c", "#55606a")
 _ROW_DEPTH_M = (3.2, 4.2)

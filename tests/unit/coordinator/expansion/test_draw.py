@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
 from coordinator.expansion.cells import cells, empty_splits
 from coordinator.expansion.draw import PlannedJob, expand, redraw, to_job
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.scene_cells import scene_cells
 from schemas.config import SpawnConfig, TaskConfig

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand, redraw
-from coordinator.expansion.file import shrink
 from coordinator.expansion.instances import Side, shared_categories
+from coordinator.expansion.plan_file import shrink
 from coordinator.expansion.scene_cells import scene_cells
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import ExpertName, Split, Tier

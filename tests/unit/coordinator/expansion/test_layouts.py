@@ -8,11 +8,10 @@ from dataclasses import replace
 import pytest
 from pydantic import ValidationError
 
-from coordinator.expansion.balance.layout_categories import planned_categories
+from coordinator.expansion.balance import planned_categories
 from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import expand, expand_layout, redraw, to_job
-from coordinator.expansion.file import parse_plan, shrink
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import parse_plan, plan_to_toml, shrink
 from coordinator.expansion.possible import find_impossible
 from schemas.errors import InvalidPlan
 from schemas.layouts import LayoutPlan

@@ -11,9 +11,8 @@ from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import expand
-from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import load_plan, plan_to_toml
 from coordinator.expansion.possible import find_impossible
 from schemas.config import SpawnConfig
 from schemas.plan import Budget, Plan, ScenePlan

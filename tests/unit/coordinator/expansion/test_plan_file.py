@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
-from coordinator.expansion.file import load_plan, shrink
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import load_plan, plan_to_toml, shrink
 from schemas.config import DemonstrationConfig
 from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan

@@ -6,14 +6,13 @@ import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.draw import expand, redraw, to_job
-from coordinator.expansion.file import parse_plan
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import parse_plan, plan_to_toml
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.summary import summarise
 from schemas.errors import InvalidPlan
-from schemas.instruction.language import FROM_START
-from schemas.language.file import LanguageSpec
-from schemas.language.possible import explain_impossible
+from schemas.instruction.templates import FROM_START
+from schemas.language.compose import explain_impossible
+from schemas.language.language_file import LanguageSpec
 from schemas.plan import Plan
 from tests.builders.catalog import make_entry, make_target
 from tests.builders.language import number_at, two_rooms, views

@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from coordinator.expansion.draw import expand, to_job
-from coordinator.expansion.file import load_plan, shrink, with_rig
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import load_plan, plan_to_toml, shrink, with_rig
 from schemas.errors import InvalidPlan, InvalidRig, UsageError
 from schemas.plan import Plan, ScenePlan
-from schemas.rig.file import load_rig, paper_rig
+from schemas.rig.rig_file import load_rig, paper_rig
 from schemas.terms import Recording
 from schemas.view import ViewSettings
 from tests.builders.catalog import make_catalog

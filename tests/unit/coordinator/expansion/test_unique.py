@@ -8,14 +8,13 @@ import tomllib
 import pytest
 
 from coordinator.expansion.draw import expand, redraw, to_job
-from coordinator.expansion.file import parse_plan
 from coordinator.expansion.nearest import find_nearest
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import parse_plan, plan_to_toml
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.summary import summarise
-from schemas.instruction.language import needs_colour
 from schemas.instruction.referents import referents_of
 from schemas.instruction.start_view import StartView
+from schemas.instruction.templates import needs_colour
 from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from sqlalchemy import select
 
-from coordinator.ledger import claims, operator, outcomes
+from coordinator.ledger import administration, claims, outcomes
 from coordinator.ledger.claims import HELD_STATES, lease_of
 from coordinator.ledger.states import TRANSITIONS, Event, JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
@@ -115,7 +115,7 @@ class Ledger(RuleBasedStateMachine):
         with self.timed_ledger.open() as connection:
             claims.shorten(connection, f"host-{worker}", self.timed_ledger.now, TTL_S / 2)
 
-    @rule(index=st.integers(1, 3), action=st.sampled_from([operator.retry, operator.cancel]))
+    @rule(index=st.integers(1, 3), action=st.sampled_from([administration.retry, administration.cancel]))
     def administer(self, index: int, action: Any) -> None:
         with self.timed_ledger.open() as connection:
             action(connection, (index,), self.timed_ledger.now)

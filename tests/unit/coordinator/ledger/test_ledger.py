@@ -11,7 +11,7 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger import claims, hosts, operator, outcomes
+from coordinator.ledger import administration, claims, hosts, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.opening import open_run, read_info
@@ -279,7 +279,7 @@ def test_a_lost_file_requeues_the_same_attempt(timed_ledger):
 def test_retry_resets_budgets_and_attempt_numbers_continue(timed_ledger):
     exhaust(timed_ledger, 1, 4)
     with timed_ledger.open() as connection:
-        reply = operator.retry(connection, (1, 2, 9), timed_ledger.now)
+        reply = administration.retry(connection, (1, 2, 9), timed_ledger.now)
     assert reply.changed == (1,)
     assert reply.refused == {
         9: "the plan has no episode of that number",
@@ -292,14 +292,14 @@ def test_retry_resets_budgets_and_attempt_numbers_continue(timed_ledger):
 def test_retry_without_numbers_selects_every_failed_episode(timed_ledger):
     exhaust(timed_ledger, 1, 4)
     with timed_ledger.open() as connection:
-        operator.cancel(connection, (2,), timed_ledger.now)
-        assert operator.retry(connection, (), timed_ledger.now).changed == (1,)
+        administration.cancel(connection, (2,), timed_ledger.now)
+        assert administration.retry(connection, (), timed_ledger.now).changed == (1,)
 
 
 def test_cancel_ends_the_lease(timed_ledger):
     lease = timed_ledger.lease()
     with timed_ledger.open() as connection:
-        assert operator.cancel(connection, (), timed_ledger.now).changed == (1, 2, 3)
+        assert administration.cancel(connection, (), timed_ledger.now).changed == (1, 2, 3)
         assert not claims.has_open_jobs(connection)
     assert not timed_ledger.done(lease)
     assert timed_ledger.claim() is None

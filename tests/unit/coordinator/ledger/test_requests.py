@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from coordinator.ledger.administration import execute, is_paused, read_requests
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.requests import execute, is_paused, read_requests
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from tests.builders.ledger import TimedLedger
 

@@ -18,7 +18,7 @@ from schemas.dataset.meta import DATASET_FORMAT, DatasetMeta, GateOutcome, git_c
 from schemas.dataset.rows import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.dataset import NOW, failure
 from tests.builders.plan import small_plan

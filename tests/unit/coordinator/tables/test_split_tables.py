@@ -12,10 +12,15 @@ import pytest
 from PIL import Image
 
 from coordinator.archive.opening import open_archive
-from coordinator.tables.card_configs import names_split_tables, splits_at
-from coordinator.tables.split_faults import FaultKind, find_faults
-from coordinator.tables.split_layout import THUMBNAIL, read_pictures, split_tables_of
-from coordinator.tables.split_tables import write_split_tables
+from coordinator.tables.card import names_split_tables, splits_at
+from coordinator.tables.split_tables import (
+    THUMBNAIL,
+    FaultKind,
+    find_faults,
+    read_pictures,
+    split_tables_of,
+    write_split_tables,
+)
 from factory.dataset.reader import Dataset
 from factory.push.files import plan_push
 from factory.verify.dataset import Kind, verify

@@ -16,12 +16,10 @@ import pytest
 from structlog.testing import capture_logs
 
 from coordinator.archive.opening import open_archive
-from coordinator.protocol.pulls import Pull
+from coordinator.protocol.bundles import BundleFile, Pull, Scope, check_each
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import Delivery, FindLocalBundle, no_local_bundle
 from coordinator.transfer.puller import Pullers
-from coordinator.validation.bundle_file import BundleFile, check_each
-from coordinator.validation.scope import Scope
 from schemas.errors import TransientError
 from schemas.protocol.keys import BundleRange, Chunk
 from schemas.protocol.messages import Lease

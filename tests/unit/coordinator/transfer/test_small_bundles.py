@@ -12,11 +12,10 @@ from typing import Any
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.protocol.pulls import Pull
+from coordinator.protocol.bundles import BundleFile, Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import Delivery
 from coordinator.transfer.puller import Pullers
-from coordinator.validation.bundle_file import BundleFile
 from schemas.errors import InvalidBundle, TransientError
 from schemas.protocol.keys import BundleRange
 from schemas.protocol.messages import Lease

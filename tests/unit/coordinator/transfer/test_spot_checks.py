@@ -8,10 +8,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from coordinator.meters import Meters
-from coordinator.protocol.pulls import Pull
-from coordinator.transfer.spot_checks import Arrival, SpotCheckedValidation, ValidatedBundle
-from coordinator.validation.bundle_file import BundleFile, check_each
-from coordinator.validation.scope import Scope
+from coordinator.protocol.bundles import BundleFile, Pull, Scope, check_each
+from coordinator.transfer.delivering import Arrival, SpotCheckedValidation, ValidatedBundle
 from schemas.errors import InvalidBundle
 from schemas.protocol.messages import Lease
 from tests.builders.bundle import job_for

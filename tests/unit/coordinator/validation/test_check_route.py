@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator.validation.route import route_findings
+from coordinator.validation.rollout import route_findings
 from schemas.episode import Route
 from schemas.terms import ExpertName
 from tests.builders.bundle import GOAL_M, RADIUS_M, BundleParts, job_for, parts_for

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from coordinator.validation.bundle_file import BundleFile
+from coordinator.protocol.bundles import BundleFile
 from coordinator.validation.messages import MAX_TASKS, ValidatorLimits
 from coordinator.validation.validator import Validator
 from schemas.errors import InvalidBundle, TransientError

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from factory.bench.machine import (
     StageRecorder,
     describe_machine,
@@ -19,10 +19,10 @@ from factory.bench.machine import (
     resident_mib,
     stage_costs,
 )
-from factory.bench.model import RolloutBench, Spread
-from factory.bench.plan_size import narrow
 from factory.bench.reading.read import bench_read
+from factory.bench.results import RolloutBench, Spread
 from factory.bench.simulation.render import poses_in
+from factory.bench.workload import narrow
 from factory.commands.other.bench_tables import show_rollout
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.dataset.rendering.antialias import mean_of_blocks, middle_of_blocks, shrink_frame
+from factory.dataset.rendering import mean_of_blocks, middle_of_blocks, shrink_frame
 from factory.dataset.torch import ClipDataset, FrameDataset, collate
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import make_dataset

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import factory
-from factory.dataset import open_episodes
+from factory.dataset import parallel
 from factory.dataset.reader import Dataset, Episode
 from factory.dataset.torch import FrameDataset, collate
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
@@ -272,7 +272,7 @@ def test_frame_dataset_with_a_stride_keeps_every_nth_frame(shared: Path) -> None
 def test_a_batch_decoded_in_threads_has_the_samples_that_are_decoded_one_by_one(
     shared: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(open_episodes, "MOST_OPEN", 1)  # three episodes are open while the batch is read
+    monkeypatch.setattr(parallel, "MOST_OPEN", 1)  # three episodes are open while the batch is read
     one, many = (FrameDataset(Dataset(shared), with_ids=True, threads=threads) for threads in (1, 4))
     indices = [5, 30, 17, 5, 0, -1, 12]
     batch = many.__getitems__(indices)

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from factory.dataset.table import read_table
+from factory.dataset.columns import read_table
 
 LARGEST, SMALLEST = 2**63 - 1, -(2**63)
 

@@ -17,9 +17,9 @@ from PIL import Image
 
 from factory.dataset.reader import Dataset
 from factory.export.base import ExportPiece, Finish
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.lerobot.columns import frame_columns
-from factory.export.lerobot.depth_code import DepthCode
+from factory.export.lerobot.features import DepthCode
 from factory.export.lerobot.layout import DEPTH, IDS, RGB
 from factory.export.lerobot.piece import LeRobotFacts
 from factory.export.lerobot.v21 import MODALITY

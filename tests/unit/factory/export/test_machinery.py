@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from factory.cli.publish.export import command
 from factory.dataset.reader import Dataset
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.execution.selection import parse_episodes, select
 from factory.export.options import PaperOptions
 from factory.export.output import WORK_FOLDER, Output

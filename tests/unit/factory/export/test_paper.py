@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from PIL import Image
 
 from factory.dataset.reader import Dataset, Episode
-from factory.export.execution.run import ExportOrder, run_export
+from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.options import PaperOptions
 from schemas.dataset.meta import read_dataset_meta
 from schemas.dataset.rows import PUBLISHED_COLUMNS

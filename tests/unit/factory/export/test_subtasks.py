@@ -2,7 +2,7 @@
 
 import pyarrow as pa
 
-from factory.export.lerobot.language import (
+from factory.export.lerobot.subtasks import (
     COLUMN,
     EVENTS,
     question_rows,
@@ -10,8 +10,8 @@ from factory.export.lerobot.language import (
     with_questions,
     with_subtasks,
 )
-from schemas.language.question.model import AnswerKind, Question, QuestionKind, QuestionMeaning
-from schemas.language.route.model import RouteStep, SubInstruction
+from schemas.language.question.meaning import AnswerKind, Question, QuestionKind, QuestionMeaning
+from schemas.language.route.meaning import RouteStep, SubInstruction
 
 
 def step(number: int, start: int, end: int) -> SubInstruction:

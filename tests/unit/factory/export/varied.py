@@ -6,7 +6,7 @@ from pathlib import Path
 
 from coordinator.archive.opening import open_archive
 from coordinator.tables.write import write_tables
-from schemas.instruction.language import instruction
+from schemas.instruction.templates import instruction
 from schemas.terms import Split
 from tests.builders.bundle import BundleParts, job_for, parts_for
 from tests.builders.dataset import NOW, archive_episode

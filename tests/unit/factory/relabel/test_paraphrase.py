@@ -13,7 +13,7 @@ import pytest
 from factory.relabel.paraphrase import KEY_VARIABLE, Endpoint, with_paraphrases
 from schemas.errors import InvalidLanguage, UsageError, WorldError
 from schemas.language.compose import Composer
-from schemas.language.file import LanguageSpec, load_language
+from schemas.language.language_file import LanguageSpec, load_language
 from schemas.language.sentence.grammar import LANGUAGES, grammar
 from schemas.language.sentence.paraphrase import pattern_fault, plain_patterns
 from tests.builders.language import number_at, two_rooms, views

@@ -12,15 +12,15 @@ import pytest
 from factory.cli.publish.relabel import command
 from factory.dataset.reader import Dataset
 from factory.relabel.part import LanguageStart, rows_of
-from factory.relabel.run import relabel
+from factory.relabel.relabel_dataset import relabel
 from factory.verify.dataset import verify
 from schemas.config import CameraConfig
 from schemas.errors import InvalidLanguage, UsageError
 from schemas.language.expression import Family
-from schemas.language.file import LanguageSpec
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
-from schemas.language.question.model import Question
+from schemas.language.language_file import LanguageSpec
+from schemas.language.question.meaning import Question
 from schemas.language.question.verify import QuestionVerifier
 from schemas.language.route.steps import SceneRoutes
 from schemas.language.scene import SceneLanguage

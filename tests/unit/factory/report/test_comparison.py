@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from factory.report.comparison.facts import facts_of
-from factory.report.comparison.model import PaperComparison, verdict_of
+from factory.report.comparison.paper_comparison import PaperComparison, verdict_of
+from factory.report.comparison.reasons import facts_of
 from factory.report.comparison.rows import compare
 from factory.report.data import Drives, ReportInput
 from factory.stats import compute_statistics

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.report.folder import MARKER_FILE, PAGE_FILE, Summary, require_usable, write_files
+from factory.report.make import MARKER_FILE, PAGE_FILE, Summary, require_usable, write_files
 from schemas.errors import UsageError, WorldError
 
 

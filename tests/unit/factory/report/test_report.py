@@ -17,8 +17,8 @@ from factory.report import make_report, render_report
 from factory.report.comparison.rows import compare
 from factory.report.figures import action_space, attempts, samples, spawn_maps
 from factory.report.figures.registry import DRAW_FUNCTIONS
-from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
+from factory.report.make import PAGE_FILE
 from factory.stats import measure_dataset
 from schemas.errors import ArchiveCorrupt, WorldError
 from tests.builders.dataset import make_dataset

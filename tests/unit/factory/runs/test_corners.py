@@ -13,7 +13,7 @@ from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Screening, Split, Tier
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.planning import geodesic_m
-from workers.sim.scene_renderer import prepare_scene
+from workers.sim.context import prepare_scene
 
 CRATE = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category="crate")
 WALL = (Box((-7.0, 1.2, 0.0), (4.0, 1.4, 2.5)), Box((5.2, 1.2, 0.0), (7.0, 1.4, 2.5)))

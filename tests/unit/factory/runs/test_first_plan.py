@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.expansion.file import load_plan
-from coordinator.expansion.plan_toml import plan_to_toml
+from coordinator.expansion.plan_file import load_plan, plan_to_toml
 from coordinator.expansion.possible import find_impossible
 from factory.commands.scene.package import draft_plan
 from schemas.terms import Split, Tier

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from factory.runs.imported import find_imported
+from factory.runs.scene_packages import find_imported
 
 
 def put(cache: Path, name: str, when: int) -> Path:

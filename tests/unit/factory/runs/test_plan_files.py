@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
-from factory.runs.catalog import collect_scenes
-from factory.runs.plan_files import require_files
+from factory.runs.catalog import collect_scenes, require_files
 from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.runs.imported import find_imported
+from factory.runs.scene_packages import find_imported
 from factory.scenes.build import find_import, import_scene
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, builtin_rules

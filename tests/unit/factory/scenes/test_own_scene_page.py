@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from coordinator.expansion.file import parse_plan
+from coordinator.expansion.plan_file import parse_plan
 from factory.scenes.rules import load_rules
 from factory.scenes.targets.target_list import TargetEntry
 from tests.builders.pages import ROOT, blocks, parse_line

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.runs.plan_files import require_files
+from factory.runs.catalog import require_files
 from factory.scenes.build import import_scene
 from factory.scenes.stage_file import find_fault, kind_of_file
 from schemas.errors import InvalidPlan, UsageError

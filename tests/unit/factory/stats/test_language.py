@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from factory.cli.inspect.stats import command
 from factory.report import render_report
 from factory.report.figures import language
-from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
+from factory.report.make import PAGE_FILE
 from factory.stats import LanguageStatistics
 from factory.stats.language import EpisodeView, summarise_language
-from factory.stats.model import LanguageRow, Share
+from factory.stats.statistics import LanguageRow, Share
 from factory.stats.views import measure_language
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
-from schemas.instruction.language import instruction
-from schemas.instruction.seen_objects import SeenObject, see_objects
+from schemas.instruction.start_view import SeenObject, see_objects
+from schemas.instruction.templates import instruction
 from schemas.scene import Instance, decode_scene, encode_scene
 from tests.builders.bundle import TARGET_ID, BundleParts
 from tests.builders.dataset import make_dataset, office_package

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from factory.stats.wording import self_bleu, wording_row, words_of
+from factory.stats.language import self_bleu, wording_row, words_of
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.train.cache import open_cache
-from factory.train.frames import CacheKey, TrainingFrames
-from factory.train.labels import chosen_frames, label_episode, stop_frame
+from factory.train.frames import CacheKey, TrainingFrames, chosen_frames, label_episode, stop_frame
+from factory.train.pictures import open_cache
 from factory.train.preprocess import shrink_depth, shrink_mask, shrink_rgb
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from tests.builders.dataset import make_dataset

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.train.labels import chosen_frames, label_episode, stop_frame
+from factory.train.frames import chosen_frames, label_episode, stop_frame
 from schemas.config import RobotConfig
 
 HZ, BRAKING = 60, RobotConfig().max_braking_mps2

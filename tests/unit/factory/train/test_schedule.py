@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from factory.train.schedule import ema_decay, learning_rate
+from factory.train.options import ema_decay, learning_rate
 
 
 def test_rate_rises_then_falls_to_a_small_share() -> None:

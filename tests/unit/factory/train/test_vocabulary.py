@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from factory.train.vocabulary import ANY, MAX_WORDS, PAD, UNKNOWN, encode, mirrored_words, split_words, vocabulary
-from schemas.instruction.language import TEMPLATES, instruction
+from schemas.instruction.templates import TEMPLATES, instruction
 from schemas.terms import CATEGORIES
 
 WORDS = vocabulary()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.verify.check_runner import run_checks, useful_processes
+from factory.verify.dataset import run_checks, useful_processes
 from factory.verify.episode import EpisodeCheck
 from schemas.dataset.rows import EpisodeSummary
 from tests.builders.dataset import make_dataset

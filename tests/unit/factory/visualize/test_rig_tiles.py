@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factory.visualize.rig_tiles import show_flow, show_scan
+from factory.visualize.rig_sheet import show_flow, show_scan
 from schemas.rig import Lidar2d, Mount
 from workers.sensors import LidarScan
 

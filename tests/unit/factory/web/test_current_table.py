@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.web.current_table import CurrentTable
+from factory.web.workspace import CurrentTable
 from schemas.errors import FactoryError
 from tests.builders.dataset import make_dataset
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from schemas.appearance import Appearance, LightMix
-from schemas.appearance.file import find_appearance, load_appearance
+from schemas.appearance.appearance_file import find_appearance, load_appearance
 from schemas.builtin import BUILTIN_APPEARANCES
 from schemas.errors import InvalidAppearance, UsageError
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from schemas.instruction.language import (
+from schemas.instruction.templates import (
     OOD_TEMPLATES,
     TEMPLATES,
     TRAIN_TEMPLATES,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from schemas.episode_spec import EpisodeSpec
-from schemas.instruction.language import instruction
 from schemas.instruction.referents import ids_in_view, named_colour, referents, referents_of
+from schemas.instruction.templates import instruction
 from schemas.scene import Instance, SceneInfo
 from schemas.terms import Split, Tier
 from tests.builders.catalog import make_entry, make_target

@@ -9,8 +9,8 @@ from pydantic import ValidationError
 
 from factory.scenes.author.props.catalogue import CATALOGUE
 from factory.scenes.rules import builtin_rules
-from schemas.instruction.taxonomy import category_of, load_taxonomy
 from schemas.plan import ScenePlan
+from schemas.scene_plan import category_of, load_taxonomy
 from schemas.terms import BUILTIN_CATEGORIES
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import InvalidLanguage, UsageError
-from schemas.language.file import LanguageSpec, SpokenLanguage, load_language
+from schemas.language.language_file import LanguageSpec, SpokenLanguage, load_language
 
 
 def load(tmp_path: Path, text: str | bytes) -> LanguageSpec:

@@ -9,7 +9,7 @@ import pytest
 from schemas.builtin import BUILTIN_RIGS
 from schemas.errors import InvalidRig, UsageError
 from schemas.rig import FisheyeCamera, Lidar3d, PinholeCamera
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 
 CAMERA = """
 [[sensors]]

@@ -30,7 +30,7 @@ from workers.appearance import (
     draw_appearance,
     recorded_camera,
 )
-from workers.appearance.clutter_shapes import RADII
+from workers.appearance.clutter import RADII
 from workers.appearance.materials import SceneSurfaces
 from workers.geometry.grid import DISC_OFFSETS_M
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from schemas.appearance import LampLight, LightMix
-from schemas.appearance.drawn import DrawnAppearance
+from schemas.appearance.factors import DrawnAppearance
 from schemas.appearance.light_groups import SCREENS, decode_light_groups, encode_light_groups
 from schemas.errors import InvalidBundle, WorldError
 from tests.builders.lit import lit_room, room_light

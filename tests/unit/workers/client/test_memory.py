@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from schemas.protocol.messages import HostMemory
-from workers.client.memory import read_memory
+from workers.client.heartbeat import read_memory
 
 
 def test_used_memory_excludes_available_memory(tmp_path: Path) -> None:

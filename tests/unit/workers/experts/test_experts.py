@@ -9,13 +9,13 @@ import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.draw import expand, to_job
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from schemas.job import Job
 from schemas.terms import ExpertName
 from tests.builders.catalog import make_catalog
 from tests.builders.scene import box_room
 from workers.experts import Expert, make_expert
-from workers.experts.image_measures import MaskMeasures
+from workers.experts.observation import MaskMeasures
 from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from schemas.config import TaskConfig
-from workers.experts.image_measures import foreground_window, is_obstacle_near, measure_mask
+from workers.experts.observation import foreground_window, is_obstacle_near, measure_mask
 
 DEPTH = np.full((640, 640), 3.0, np.float32)
 

@@ -7,7 +7,7 @@ import pytest
 
 from schemas.errors import UsageError
 from schemas.rig import EquirectangularCamera, FisheyeCamera, Mount, PinholeCamera
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 from workers.geometry.faces import plan_faces
 
 

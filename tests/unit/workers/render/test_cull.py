@@ -8,7 +8,7 @@ from schemas.config import CameraConfig
 from tests.builders.scene import Box, build_scene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
-from workers.render.cull import PartBounds, visible_parts
+from workers.render.visible_parts import PartBounds, visible_parts
 
 
 def cube(x: float, y: float, z: float = 0.3) -> Box:

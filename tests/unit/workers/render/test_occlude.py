@@ -10,9 +10,8 @@ from schemas.scene import CompiledScene
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.geometry.camera import Perspective, optical_pose
 from workers.geometry.pose import Pose
-from workers.render.cull import PartBounds
-from workers.render.occlude import Occluders
 from workers.render.tiny import TinyRenderer
+from workers.render.visible_parts import Occluders, PartBounds
 
 CAMERA = CameraConfig(y_m=0.0)
 WALL = Box((2.0, -1.5, 0.0), (2.2, 1.5, 2.5))

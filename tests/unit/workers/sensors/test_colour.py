@@ -9,8 +9,15 @@ from numpy.typing import NDArray
 from schemas.rig.cameras import PinholeCamera
 from schemas.rig.noise import CameraNoise, ColourNoise
 from workers.sensors import NoiseKey, colour_steps, sense_colour
-from workers.sensors.colour import channel_gains, codes_of, linear_of_codes, noisy_colour
-from workers.sensors.shutter import exposed, row_weights, shutter_offsets
+from workers.sensors.images import (
+    channel_gains,
+    codes_of,
+    exposed,
+    linear_of_codes,
+    noisy_colour,
+    row_weights,
+    shutter_offsets,
+)
 
 Image = NDArray[np.uint8]
 KEY = NoiseKey(1, 2, "front")

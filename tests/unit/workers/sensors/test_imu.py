@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.rig.motion import Imu
-from schemas.rig.mount import Mount
 from schemas.rig.noise import ImuNoise
+from schemas.rig.sensors import Imu, Mount
 from workers.sensors import NoiseKey, sense_imu
 from workers.sensors.frames import mount_rotation, rotations, sensor_poses
 from workers.sensors.imu import GRAVITY_MPS2, imu_errors

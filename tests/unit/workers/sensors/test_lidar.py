@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.rig.mount import Mount
 from schemas.rig.noise import LidarNoise
-from schemas.rig.ranging import Lidar2d, Lidar3d
+from schemas.rig.sensors import Lidar2d, Lidar3d, Mount
 from schemas.scene import CompiledScene
 from tests.builders.scene import Box, box_room, build_scene, room_walls
 from workers.sensors import LidarScan, NoiseKey, points_of, sense_lidar

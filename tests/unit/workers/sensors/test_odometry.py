@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from schemas.rig.motion import WheelOdometry
 from schemas.rig.noise import OdometryNoise
+from schemas.rig.sensors import WheelOdometry
 from workers.sensors import NoiseKey, sense_odometry
 
 HZ = 60

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from workers.sim.fingerprint import make_fingerprint
+from workers.sim.context import make_fingerprint
 
 
 def test_fingerprint_names_the_software_that_determines_the_bytes() -> None:

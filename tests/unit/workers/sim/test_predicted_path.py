@@ -11,7 +11,7 @@ from schemas.config import TaskConfig
 from schemas.job import Job
 from schemas.measure import Goal
 from tests.builders.bundle import job_for
-from workers.sim.predicted_path import predict_path
+from workers.sim.spawn import predict_path
 
 GOAL = Goal((4.0, 0.0), 1.0)
 

@@ -9,7 +9,7 @@ import pytest
 
 from schemas.scene import encode_scene
 from tests.builders.scene import Box, box_room
-from workers.sim.scene_renderer import SceneRenderer
+from workers.sim.context import SceneRenderer
 
 
 def test_a_renderer_of_one_scene_frees_it_before_it_loads_another(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from schemas.rig import Lidar3d, Mount, Rig
 from tests.builders.scene import box_room
 from workers.sensors.observation import Trajectory
 from workers.sensors.rays import SceneRays
-from workers.sim.sensors import require_room
+from workers.sim.recording import require_room
 
 LIDAR = Lidar3d(
     name="lidar", model="lidar3d", rate_hz=10, mount=Mount(z_m=0.6), samples=360, elevations_deg=(5, 0, -5),

@@ -18,9 +18,8 @@ from tests.builders.scene import Box, build_scene, room_walls
 from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
-from workers.sim.predicted_path import predict_path
-from workers.sim.scene_renderer import LoadedScene, prepare_scene
-from workers.sim.spawn import draw_poses
+from workers.sim.context import LoadedScene, prepare_scene
+from workers.sim.spawn import draw_poses, predict_path
 
 CRATE = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category="crate")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from schemas.config import TaskConfig
 from schemas.terms import EndReason
-from workers.sim.termination import Termination
+from workers.sim.closed_loop import Termination
 
 TASK = TaskConfig()
 

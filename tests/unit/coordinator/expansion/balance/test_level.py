@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.expansion.balance.level import level
+from coordinator.expansion.balance import level
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import expand, redraw
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from schemas.plan import PAPER_SPLITS, Plan, ScenePlan
 from schemas.terms import Split, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target

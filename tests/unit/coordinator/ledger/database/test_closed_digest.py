@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.ledger.database.closed_digest import is_unchanged, write_closed_digest
+from coordinator.ledger.database.engine import is_unchanged, write_closed_digest
 from coordinator.ledger.run_ledger import RunLedger
 from coordinator.recovery.reconcile import replace_unusable_ledger
 from schemas.errors import WorldError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator.ledger.host_memory import read_memory, write_memory
+from coordinator.ledger.hosts import read_memory, write_memory
 from coordinator.ledger.reading.failures import count_failures, place_in, read_failures
 from schemas.protocol.messages import HostMemory
 from schemas.terms import FailReason

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
+from coordinator.ledger.administration import is_paused, read_requests
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.progress import read_progress
-from coordinator.ledger.requests import is_paused, read_requests
 from factory.cli.inspect.jobs import command
 from schemas.errors import UsageError
 from tests.builders.ledger import TimedLedger, room_plan

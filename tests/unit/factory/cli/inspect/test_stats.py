@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.builtin import BUILTIN_PLANS
-from coordinator.expansion.file import shrink
+from coordinator.expansion.plan_file import shrink
 from coordinator.tables.write import write_tables
 from factory.cli.inspect.stats import command
 from factory.commands.inspect.stats import print_statistics
@@ -20,7 +20,7 @@ from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.config import TaskConfig
 from schemas.dataset.rows import FailedAttempt
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.instruction.language import TEMPLATES
+from schemas.instruction.templates import TEMPLATES
 from schemas.plan import ScenePlan
 from schemas.terms import ExpertName, Split, SuccessMeasure, Tier
 from tests.builders.dataset import NOW, failure, make_dataset

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from factory.cli.rig.command import command
 from schemas.builtin import BUILTIN_RIGS
 from schemas.errors import InvalidRig
-from schemas.rig.file import load_rig
+from schemas.rig.rig_file import load_rig
 
 
 def output_of(*arguments: str) -> str:

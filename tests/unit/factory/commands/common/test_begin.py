@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from factory.commands.common.begin import begin
 from factory.dataset.site import site_of
 from schemas.errors import UsageError, WorldError

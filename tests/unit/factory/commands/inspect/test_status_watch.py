@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from coordinator.expansion.file import load_plan
+from coordinator.expansion.plan_file import load_plan
 from factory.commands.common.output import stdout
 from factory.commands.inspect.status import draw_progress, watch_progress
 from factory.commands.run.run import RunBar

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from factory.commands.scene.survey import describe_survey
-from factory.scenes.survey.report import report_survey
+from factory.scenes.survey.spawn_survey import report_survey
 from schemas.terms import SuccessMeasure
 from tests.builders.scene import box_room
 

@@ -10,7 +10,7 @@ import pytest
 
 from factory.eval.driving.policy import PrivilegedPolicy, uses_camera
 from factory.eval.models.messages import PolicyLimits
-from factory.eval.policies import describe_knowledge, make_policy, require_available
+from factory.eval.policies.registry import describe_knowledge, make_policy, require_available
 from factory.eval.policies.user_class import load_class
 from schemas.errors import UsageError
 

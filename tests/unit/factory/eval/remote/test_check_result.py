@@ -13,9 +13,15 @@ from factory.eval.driving.rollout import progresses, request_fields
 from factory.eval.models.messages import EvalRequest, EvalTask, Setup
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
-from factory.eval.policies.note import PolicyNote
-from factory.eval.remote.result_bundle import ResultBundle, read_result_bundle, write_result_bundle
-from factory.eval.remote.result_validator import ResultValidator, result_digest, result_findings
+from factory.eval.policies.registry import PolicyNote
+from factory.eval.remote.results import (
+    ResultBundle,
+    ResultValidator,
+    read_result_bundle,
+    result_digest,
+    result_findings,
+    write_result_bundle,
+)
 from schemas.encoding.container import ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.scene import Target

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from factory.eval.models.result import EvalEnd, Variant
-from factory.eval.policies.note import PolicyNote
-from factory.eval.results.faults import faults_of
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.page import write_page
-from factory.eval.results.score import score_policy
+from factory.eval.results.score import faults_of, score_policy
 from factory.eval.results.summary_text import fault_lines
 from tests.builders.eval_results import evaluation_of, result_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from factory.eval.models.result import EvalEnd, Variant
-from factory.eval.policies.note import PolicyNote
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.compare import compare
 from factory.eval.results.score import score_policy
 from schemas.errors import UsageError

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from factory.eval.models.result import RESULTS_FORMAT, Variant
-from factory.eval.policies.note import PolicyNote
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.store import EvalManifest, Store, folder_name, read_policy_folder
 from schemas.errors import UsageError, WorldError
 from tests.builders.eval_results import result_of, spec_of, specs_of

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from factory.eval.models.result import Variant
-from factory.eval.specs.ablation import instructions, playback_sources
+from factory.eval.specs.campaign import instructions, playback_sources
 from schemas.errors import UsageError
 from tests.builders.eval_results import spec_of, specs_of
 from tests.builders.scene import box_room

@@ -22,7 +22,7 @@ from factory.export.vlnce.episode import (
     vocabulary_of,
     words_of,
 )
-from schemas.support.planar import footprint_distances
+from schemas.support.geometry import footprint_distances
 from schemas.terms import SuccessMeasure
 from tests.builders.bundle import GOAL_M, RADIUS_M, parts_for, short_task
 

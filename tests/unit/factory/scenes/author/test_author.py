@@ -13,7 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from factory.scenes.author import (
+from factory.scenes.author.drawn import draw_pixels
+from factory.scenes.author.geometry import bounds, triangle_count
+from factory.scenes.author.materials import PropPiece
+from factory.scenes.author.placement import FloorPlan
+from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
+from factory.scenes.author.scene import (
     AUTHOR_VERSION,
     BUILTIN_SCENES,
     PAPER_LAYOUTS,
@@ -22,11 +27,6 @@ from factory.scenes.author import (
     author_scene,
     lay_out_scene,
 )
-from factory.scenes.author.drawn import draw_pixels
-from factory.scenes.author.geometry import bounds, triangle_count
-from factory.scenes.author.materials import PropPiece
-from factory.scenes.author.placement import FloorPlan
-from factory.scenes.author.props.catalogue import CATALOGUE, PropBuilder
 from factory.scenes.importer import TextureRecipe
 from factory.scenes.rules import builtin_rules
 from schemas.errors import WorldError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.scenes.compile.object_materials import UNKNOWN, materials_of, substance_of
+from factory.scenes.compile.surfaces import UNKNOWN, materials_of, substance_of
 from factory.scenes.importer import Part, Surface
 
 

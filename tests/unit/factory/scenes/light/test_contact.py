@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.scenes.light.contact import contact_shade
+from factory.scenes.light.bake import contact_shade
 from tests.builders.scene import Box
 from tests.builders.solids import box_triangles
 

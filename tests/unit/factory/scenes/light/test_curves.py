@@ -7,10 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from factory.scenes.light.charts import find_charts
+from factory.scenes.light.charts import SQUARE, find_charts, interpolate, unwrap
 from factory.scenes.light.curves import corner_normals, find_bends
-from factory.scenes.light.patches import SQUARE, interpolate
-from factory.scenes.light.unwrap import unwrap
 from tests.builders.scene import Box
 from tests.builders.solids import box_triangles
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.scenes.light.charts import Charts, find_charts
-from factory.scenes.light.patches import interpolate
-from factory.scenes.light.unwrap import TooManyPieces, Unwrap, unwrap
+from factory.scenes.light.charts import Charts, TooManyPieces, Unwrap, find_charts, interpolate, unwrap
 from tests.builders.scene import Box, box_room
 from tests.builders.solids import box_triangles
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.inspection import describe_scene
-from factory.scenes.survey.report import report_survey
+from factory.scenes.survey.spawn_survey import report_survey
 from schemas.terms import SuccessMeasure
 from tests.builders.scene import Box, box_room, build_scene, room_walls
 

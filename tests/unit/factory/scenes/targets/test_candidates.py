@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factory.scenes.compile.shade import target_colour
+from factory.scenes.compile.surfaces import target_colour
 from factory.scenes.compile.textures import load_textures
 from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from factory.scenes.targets.footprint import footprint_of
-from schemas.support.planar import footprint_distances
+from factory.scenes.targets.candidates import footprint_of
+from schemas.support.geometry import footprint_distances
 
 
 def triangles_of(*corners: tuple[float, float]) -> np.ndarray:

@@ -10,7 +10,7 @@ from schemas.language.generator.minimal import minimal_expressions
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
 from schemas.language.kinds import kinds, may_be_called
-from schemas.language.route.model import DrivenPath, StepKind
+from schemas.language.route.meaning import DrivenPath, StepKind
 from schemas.language.route.steps import RouteSearch, SceneRoutes
 from schemas.language.scene import SceneLanguage
 from schemas.language.sentence.grammar import grammar

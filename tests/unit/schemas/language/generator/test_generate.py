@@ -5,8 +5,8 @@ import pytest
 
 from schemas.language.compose import Composer, InstructionKind
 from schemas.language.expression import Expression
-from schemas.language.file import LanguageSpec
 from schemas.language.generator.minimal import minimal_expressions, redundant_expressions
+from schemas.language.language_file import LanguageSpec
 from schemas.language.sentence.grammar import LANGUAGES, grammar
 from schemas.language.sentence.reading import reader
 from tests.builders.language import changed, is_false_or_ambiguous, search_of, two_rooms, views

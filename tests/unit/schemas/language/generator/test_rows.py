@@ -13,7 +13,7 @@ from schemas.language.generator.search import Search
 from schemas.language.generator.view_facts import ViewFacts
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import SceneView, look
-from schemas.language.route.model import DrivenPath, StepKind
+from schemas.language.route.meaning import DrivenPath, StepKind
 from schemas.language.route.steps import RouteSearch, SceneRoutes
 from schemas.language.scene import SceneLanguage
 from schemas.language.sentence.grammar import LANGUAGES, grammar

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from schemas.language.compose import Composer
-from schemas.language.file import LanguageSpec
 from schemas.language.graph.view import look
+from schemas.language.language_file import LanguageSpec
 from schemas.language.question.compose import AskedEpisode, QuestionComposer
-from schemas.language.question.model import AnswerKind, Question, QuestionKind, ReasonKind, SeenSide
+from schemas.language.question.meaning import AnswerKind, Question, QuestionKind, ReasonKind, SeenSide
 from schemas.language.question.reading import question_reader
 from schemas.language.question.verify import QuestionVerifier
 from schemas.language.question.words import question_words

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from schemas.language.file import LanguageSpec
+from schemas.language.language_file import LanguageSpec
 from schemas.language.route.compose import RouteComposer
 from schemas.language.route.doorways import room_changes
-from schemas.language.route.model import DrivenPath, RouteStep, RouteText, StepKind
+from schemas.language.route.meaning import DrivenPath, RouteStep, RouteText, StepKind
 from schemas.language.route.reading import route_reader
 from schemas.language.route.segment import divide_path
 from schemas.language.route.steps import RouteSearch, SceneRoutes

@@ -5,7 +5,7 @@ import pytest
 
 from schemas.errors import InvalidLanguage
 from schemas.language.compose import Composer
-from schemas.language.file import LanguageSpec, load_language
+from schemas.language.language_file import LanguageSpec, load_language
 from schemas.language.sentence.grammar import LANGUAGES
 from schemas.language.sentence.mistakes import MistakeKind, mistake_fault, with_mistake
 from schemas.language.sentence.reading import reader

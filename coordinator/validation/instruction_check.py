@@ -1,0 +1,89 @@
+"""Checks the verified instruction and the questions of an episode against its scene. Writes no text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from coordinator.expansion.sentences import scene_language
+from schemas.bundle import BundleReader
+from schemas.job import Job
+from schemas.language.compose import composer_of
+from schemas.language.graph.view import look
+from schemas.language.instruction import Instruction
+from schemas.language.language_file import LanguageSpec
+from schemas.language.question.verify import QuestionVerifier
+from schemas.language.route.steps import SceneRoutes
+from schemas.language.sentence.mistakes import mistake_fault
+from schemas.language.sentence.reading import Reader
+from schemas.terms import Recording
+
+
+def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, float], package: Path) -> list[str]:
+    """Returns why the sentence of an instruction does not fit the target from the start; empty if it does.
+
+    Args:
+        job: job of the episode, with parameters of the language.
+        said: instruction of the episode.
+        start: x, y in metres and yaw in radians of base_link at frame 0.
+        package: package of the scene.
+
+    Raises:
+        InvalidBundle: the package is damaged.
+    """
+    assert job.language is not None
+    scene, composer = scene_language(package), composer_of(job.language)
+    if said.template_id not in composer.patterns_of(said.language, said.held_out):
+        return [f"instruction: pattern {said.template_id!r} does not exist in split {job.split}"]
+    number = scene.graph.number_of[job.target_id]
+    view = look(scene.graph, start, job.camera)
+    reader = composer.reader(said.language)
+    if job.is_false_premise:
+        is_absent = scene.verifier.is_false_premise(said.meant, reader, view)
+        fault = "" if is_absent else "an object of the scene fits, or may fit, although the premise should be false"
+    else:
+        fault = scene.verifier.check(said.meant, reader, view, number)
+    if said.clean is not None and not fault:
+        fault = _mistake_fault(said, job.language, reader)
+    found = [f"instruction {said.text!r}: {fault}"] if fault else []
+    if said.distractors != scene.distractors(number):
+        found.append(
+            f"the instruction records {said.distractors} distractors, but the scene has {scene.distractors(number)}"
+        )
+    return found
+
+
+def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str:
+    """Returns why the recorded kind of error is not planned, or does not explain the sentence; empty if it does."""
+    assert said.clean is not None
+    if said.mistake is None or not spec.mistakes.get(said.mistake):
+        return "its error is not planned"
+    return mistake_fault(said.text, said.clean, said.mistake, said.language, reader.vocabulary)
+
+
+def said_findings(bundle: BundleReader, package: Path | None) -> list[str]:
+    """Returns all findings about the verified instruction and the questions of an episode.
+
+    Returns none if the instruction comes from a template, or without a package.
+
+    Args:
+        bundle: valid bundle of the episode.
+        package: package of the scene, or `None`.
+
+    Raises:
+        InvalidBundle: the package or the images of a question are damaged.
+    """
+    meta = bundle.meta
+    if meta.language is None or meta.job.language is None or package is None:
+        return []
+    found = sentence_findings(meta.job, meta.language, meta.rollout.spawn_pose, package)
+    return found + (_question_findings(bundle, meta.job, package) if meta.questions else [])
+
+
+def _question_findings(bundle: BundleReader, job: Job, package: Path) -> list[str]:
+    assert job.language is not None
+    scene, composer = scene_language(package), composer_of(job.language)
+    images = bundle if job.record is Recording.FRAMES else None
+    place, number = SceneRoutes(scene, job.camera), scene.graph.number_of[job.target_id]
+    verifier = QuestionVerifier(place, bundle.arrays.poses, number)
+    faults = [(each, verifier.check(each, composer.reader(each.language), images)) for each in bundle.meta.questions]
+    return [f"question {each.question!r}, answer {each.answer!r}: {fault}" for each, fault in faults if fault]

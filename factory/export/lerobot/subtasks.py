@@ -1,0 +1,81 @@
+"""Language columns of LeRobot 0.6: `language_persistent` with sub-instructions, `language_events` with questions.
+
+Every frame has all `subtask` rows of its episode; a row is active from its `timestamp` until that of the next row. The
+`vqa` rows of a question are in one frame only. Opens no file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pyarrow as pa
+
+from schemas.language.question.meaning import Question
+from schemas.language.route.meaning import SubInstruction
+
+COLUMN, EVENTS = "language_persistent", "language_events"
+FEATURE: dict[str, Any] = {"dtype": "language", "shape": [1], "names": None}
+"""Entry of `features` in `info.json`."""
+_SAID = (
+    pa.field("role", pa.string(), nullable=False),
+    *(pa.field(name, pa.string()) for name in ("content", "style")),
+)
+_SHOWN = (pa.field("camera", pa.string()), pa.field("tool_calls", pa.list_(pa.string())))
+TYPE = pa.list_(pa.struct([*_SAID, pa.field("timestamp", pa.float32(), nullable=False), *_SHOWN]))
+EVENTS_TYPE = pa.list_(pa.struct([*_SAID, *_SHOWN]))
+"""`TYPE` is the type of `language_persistent`, `EVENTS_TYPE` of `language_events` (lerobot/datasets/language.py)."""
+_UNSPACED = frozenset({"zh"})
+"""Languages without spaces between sentences."""
+
+
+def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int, frames: int) -> list[dict[str, Any]]:
+    """Returns the rows of an episode.
+
+    Args:
+        steps: sub-instructions in their order.
+        hz: recorded frames per second.
+        stride: stride of the exported frames. A row begins at the first exported frame that is not before the start of
+            its step, or at the last exported frame if there is none. If several rows would begin at the same frame,
+            only the last of their steps has a row.
+        frames: number of exported frames.
+    """
+    shared = {"role": "assistant", "style": "subtask", "camera": None, "tool_calls": None}
+    first = {min(-(-each.start // stride), frames - 1): each for each in steps}
+    return [shared | {"content": each.text, "timestamp": t * stride / hz} for t, each in first.items()]
+
+
+def with_subtasks(table: pa.Table, rows: Sequence[dict[str, Any]]) -> pa.Table:
+    """Returns the table of frames with the column of sub-instructions; all frames have the same rows."""
+    return table.append_column(pa.field(COLUMN, TYPE), pa.array([list(rows)] * len(table), TYPE))
+
+
+def question_rows(questions: Sequence[Question], camera: str, stride: int, frames: int) -> list[list[dict[str, Any]]]:
+    """Returns the rows of each exported frame: the questions that are asked at this frame, and their answers.
+
+    A question is asked at the first exported frame for which its answer was computed; questions without such a
+    frame are omitted.
+
+    Args:
+        questions: questions about the episode.
+        camera: image feature that the questions are about.
+        stride: stride of the exported frames.
+        frames: number of exported frames.
+    """
+    found: list[list[dict[str, Any]]] = [[] for _ in range(frames)]
+    shared = {"style": "vqa", "camera": camera, "tool_calls": None}
+    for each in questions:
+        t = -(-each.start // stride)
+        if t < frames and t * stride < each.end:
+            space = "" if each.language in _UNSPACED else " "
+            answer = each.answer if each.reason is None else f"{each.answer}{space}{each.reason}"
+            found[t] += [
+                {"role": "user", "content": each.question, **shared},
+                {"role": "assistant", "content": answer, **shared},
+            ]
+    return found
+
+
+def with_questions(table: pa.Table, rows: Sequence[Sequence[dict[str, Any]]]) -> pa.Table:
+    """Returns the table of frames with the column of questions; `rows` has one entry for each frame."""
+    return table.append_column(pa.field(EVENTS, EVENTS_TYPE), pa.array(list(map(list, rows)), EVENTS_TYPE))

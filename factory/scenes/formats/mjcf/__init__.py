@@ -1,1 +1,0 @@
-"""Reads MJCF with MuJoCo: `files` checks what it opens, `models` reads bodies, `pieces` and `surfaces` geoms."""
