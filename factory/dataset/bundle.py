@@ -15,12 +15,13 @@ from schemas.appearance import Appearance, DrawnAppearance
 from schemas.bundle import BundleReader, encode_depth
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.encoding.png import encode_png
+from schemas.frame import Frame
 from schemas.rig import Camera
 from schemas.scene import Instance
 from schemas.storage.place import Place
 from workers.appearance import clutter_instances
 from workers.geometry.pose import Pose
-from workers.render import CameraImage, RenderedFrame
+from workers.render import CameraImage
 
 if TYPE_CHECKING:
     from workers.sensors.rays import SceneRays
@@ -70,7 +71,7 @@ class EpisodeBundle(BundleReader):
         clutter = () if drawn is None else clutter_instances([item.id for item in known], drawn.clutter)
         return (*known, *clutter)
 
-    def render(self, t: int, size: int = FRAME_SIZE_PX, antialias: int = 1) -> RenderedFrame:
+    def render(self, t: int, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Frame:
         """Renders frame t from its pose; equal to the recorded frame if renderer and size are equal.
 
         Args:
@@ -100,7 +101,7 @@ class EpisodeBundle(BundleReader):
         view = View(self.shown, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size, change)
         return view, self.meta.provenance.fingerprint.renderer
 
-    def _rendered(self, t: int) -> RenderedFrame:
+    def _rendered(self, t: int) -> Frame:
         return shared_renderer().render_once(*self._view(t))
 
     def rgb(self, t: int) -> NDArray[np.uint8]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from threading import Lock
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from schemas.dataset.rows import EpisodeSummary
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
+from schemas.frame import Frame
 from schemas.language.question.meaning import Question
 from schemas.language.route.meaning import SubInstruction
 from schemas.rig import Imu, Rig, Sensor, WheelOdometry
@@ -34,18 +35,7 @@ from schemas.storage.shard_index import episode_place
 from schemas.support.closing import Closing
 
 if TYPE_CHECKING:
-    from workers.sensors import CameraObservation, ImuMeasurements, LidarScan, OdometryMeasurements
-
-
-class Frame(NamedTuple):
-    """Camera images before one action."""
-
-    rgb: NDArray[np.uint8]
-    """(640, 640, 3) sRGB, top row first."""
-    depth: NDArray[np.float32]
-    """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing."""
-    ids: NDArray[np.uint16]
-    """(640, 640) instance ids, described by `Episode.instances`; 0 is background."""
+    from workers.sensors import CameraMeasurement, ImuMeasurements, LidarScan, OdometryMeasurements
 
 
 class Episode(Closing):
@@ -173,14 +163,13 @@ class Episode(Closing):
         with self._reading() as bundle:
             if bundle.has_frames and (size, antialias) == (FRAME_SIZE_PX, 1):
                 return Frame(self.rgb(t), self.depth(t), self.ids(t))
-            found = bundle.render(self._step(t), size, antialias)
-        return Frame(found.rgb, found.depth, found.ids)
+            return bundle.render(self._step(t), size, antialias)
 
     def frames(self, stride: int = 1, size: int = FRAME_SIZE_PX, antialias: int = 1) -> Iterator[Frame]:
         """Yields every `stride`-th frame in order; keeps one frame in memory."""
         return (self.frame(t, size, antialias) for t in range(0, len(self), stride))
 
-    def observe(self, t: int, sensors: Iterable[str] | None = None) -> dict[str, CameraObservation | LidarScan]:
+    def observe(self, t: int, sensors: Iterable[str] | None = None) -> dict[str, CameraMeasurement | LidarScan]:
         """Returns the images of the rig's cameras and the scans of its lidars at step t, by name (docs/rigs.md).
 
         They are rendered when they are read, unless the episode stores these sensors. A sensor with a lower rate than

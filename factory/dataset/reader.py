@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from factory.dataset.columns import NAMES, Columns
-from factory.dataset.episode import Episode, Frame
+from factory.dataset.episode import Episode
 from factory.dataset.questions import recorded_questions
 from factory.dataset.steps import has_routes, read_text_table
 from factory.dataset.vocabulary import require_known
@@ -26,6 +26,7 @@ from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.encoding.table_digest import table_digest
 from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.frame import Frame
 from schemas.job import index_of_file
 from schemas.plan import Plan
 from schemas.rig import Rig

@@ -25,18 +25,19 @@ from factory.support.settings import read_renderer
 from schemas.appearance import Appearance, CameraChange, DrawnAppearance
 from schemas.config import CameraConfig
 from schemas.errors import WorldError
+from schemas.frame import Frame
 from schemas.job import Job
 from schemas.rig import Camera, Imu, Lidar2d, Lidar3d, Sensor, WheelOdometry
 from schemas.scene import CompiledScene, encode_scene
 from schemas.terms import RendererKind
 from workers.appearance import apply_appearance, changed_camera, changed_sensor, draw_appearance, recorded_camera
 from workers.geometry.pose import Pose
-from workers.render import CameraImage, RenderedFrame
+from workers.render import CameraImage
 from workers.render.choose import open_apart
 from workers.render.process import ProcessRenderer
 from workers.sensors import ImuMeasurements, LidarScan, OdometryMeasurements
 from workers.sensors import observation as sensing
-from workers.sensors.observation import CameraObservation, Trajectory
+from workers.sensors.observation import CameraMeasurement, Trajectory
 
 if TYPE_CHECKING:
     from workers.sensors.rays import SceneRays
@@ -45,12 +46,12 @@ if TYPE_CHECKING:
 Value = TypeVar("Value", bound=np.generic)
 
 
-def shrink_frame(frame: RenderedFrame, block: int) -> RenderedFrame:
+def shrink_frame(frame: Frame, block: int) -> Frame:
     """Returns a frame whose width and height are divided by `block`; the frame itself if `block` is 1."""
     if block == 1:
         return frame
     depth, ids = middle_of_blocks(frame.depth, block), middle_of_blocks(frame.ids, block)
-    return RenderedFrame(mean_of_blocks(frame.rgb, block), depth.copy(), ids.copy())
+    return Frame(mean_of_blocks(frame.rgb, block), depth.copy(), ids.copy())
 
 
 def mean_of_blocks(rgb: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
@@ -156,14 +157,14 @@ class SharedRenderer:
         self._last = threading.local()
         self._warns, self._warned = _is_first_loader_worker(), set[str]()
 
-    def render_once(self, view: View, recorded_with: str) -> RenderedFrame:
+    def render_once(self, view: View, recorded_with: str) -> Frame:
         """Like `render`, but returns the last frame of this thread if its view is equal; do not modify the frame."""
-        last: tuple[View, RenderedFrame] | None = getattr(self._last, "frame", None)
+        last: tuple[View, Frame] | None = getattr(self._last, "frame", None)
         if last is None or last[0] != view:
             last = self._last.frame = view, self.render(view, recorded_with)
         return last[1]
 
-    def render(self, view: View, recorded_with: str) -> RenderedFrame:
+    def render(self, view: View, recorded_with: str) -> Frame:
         """Returns the frame of a view.
 
         Args:
@@ -184,7 +185,7 @@ class SharedRenderer:
                 return renderer.render(view.pose, view.size)
             camera = changed_camera(recorded_camera(view.camera, view.size), view.change)
             image = renderer.render_camera(camera, view.pose)
-            return RenderedFrame(image.rgb, image.depth, image.ids)
+            return Frame(image.rgb, image.depth, image.ids)
 
     def render_camera(
         self, package: ScenePackage | AppearancePackage, camera: Camera, pose: Pose, recorded_with: str
@@ -267,7 +268,7 @@ def shared_renderer() -> SharedRenderer:
     return _renderers.setdefault((os.getpid(), kind), SharedRenderer(kind))
 
 
-def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -> CameraObservation | LidarScan:
+def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -> CameraMeasurement | LidarScan:
     """Returns the images of a camera, or the scan of a lidar, at step t of an episode.
 
     They are read if the episode stores them, otherwise rendered; the bytes are equal.
@@ -282,12 +283,12 @@ def observe(bundle: EpisodeBundle, sensor: Camera | Lidar2d | Lidar3d, t: int) -
         change = None if bundle.appearance is None else bundle.appearance.camera
         return sensing.observe(changed_sensor(sensor, change), t, trajectory_of(bundle), bundle)
     arrays = bundle.measurement(sensor, t)
-    return LidarScan(**arrays) if isinstance(sensor, Lidar2d | Lidar3d) else CameraObservation(**arrays)
+    return LidarScan(**arrays) if isinstance(sensor, Lidar2d | Lidar3d) else CameraMeasurement(**arrays)
 
 
-def observe_camera(bundle: EpisodeBundle, camera: Camera, t: int) -> CameraObservation:
+def observe_camera(bundle: EpisodeBundle, camera: Camera, t: int) -> CameraMeasurement:
     """Returns the outputs of a camera at step t of an episode; see `observe`."""
-    return cast(CameraObservation, observe(bundle, camera, t))
+    return cast(CameraMeasurement, observe(bundle, camera, t))
 
 
 def measure(bundle: EpisodeBundle, sensor: Imu | WheelOdometry) -> ImuMeasurements | OdometryMeasurements:

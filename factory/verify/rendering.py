@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from coordinator.validation.rollout import arrival_findings, visibility_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.episode import Episode, Frame
+from factory.dataset.episode import Episode
 from factory.dataset.rendering import shared_renderer, trajectory_of
 from schemas.encoding.digest import frame_digest
+from schemas.frame import Frame
 from schemas.rig import Imu, WheelOdometry
 from schemas.scene import Target
 from schemas.terms import Recording
@@ -170,7 +171,7 @@ def compare_rendered(
         if stored is not None and reference is not None and frame_digest(*stored) != recorded:
             found.append(f"frame {t} of the reference {reference.path} is not the recorded one")
             stored = None
-        difference.add_differing(stored, Frame(frame.rgb, frame.depth, frame.ids))
+        difference.add_differing(stored, frame)
     found += visibility_findings(bundle.meta, target_pixels)
     if not bundle.has_frames and bundle.length - 1 in target_pixels:
         found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])

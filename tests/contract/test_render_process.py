@@ -18,12 +18,13 @@ import pytest
 
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
+from schemas.frame import Frame
 from schemas.terms import RendererKind
 from tests.builders.fresh_process import in_fresh_process
 from tests.builders.process_state import children_of, is_gone
 from tests.builders.scene import Box, box_room, build_scene
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame, Renderer
+from workers.render import Renderer
 from workers.render.choose import open_renderer
 
 CAMERA = CameraConfig()
@@ -33,7 +34,7 @@ LIBRARIES = ("libEGL", "libLLVM", "_dri.so", "libgallium")
 REMEDIES = "'spawn' or 'forkserver'|open it in the process that uses it"
 
 
-def digest(frame: RenderedFrame) -> str:
+def digest(frame: Frame) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in (frame.rgb, frame.depth, frame.ids))).hexdigest()
 
 

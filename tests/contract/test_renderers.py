@@ -14,14 +14,15 @@ import structlog
 from schemas.config import CameraConfig, TaskConfig
 from schemas.encoding.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.errors import UsageError, WorldError
+from schemas.frame import Frame
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene, Sky
 from schemas.support.stage_timer import StageTimer
 from schemas.terms import RendererKind
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, box_room, build_scene, room_walls
-from workers.experts.observation import LazyFrame
+from workers.experts.observation import Observation
 from workers.geometry.pose import Pose
-from workers.render import PartialRenderer, RenderedFrame, Renderer, Window
+from workers.render import PartialRenderer, Renderer, Window
 from workers.render import choose as choose_module
 from workers.render.choose import open_renderer
 
@@ -30,7 +31,7 @@ ORIGIN = Pose.planar(0.0, 0.0, 0.0)
 RED, BLUE = (200, 30, 30), (30, 30, 200)
 
 
-def look(renderer: Renderer, *boxes: Box, pose: Pose = ORIGIN) -> RenderedFrame:
+def look(renderer: Renderer, *boxes: Box, pose: Pose = ORIGIN) -> Frame:
     renderer.load(build_scene(boxes), CAMERA)
     return renderer.render(pose)
 
@@ -358,7 +359,7 @@ def test_an_unknown_renderer_is_refused_with_the_known_ones() -> None:
     assert get_args(RendererKind) == ("auto", "gl", "tiny")
 
 
-def digest(frame: RenderedFrame) -> str:
+def digest(frame: Frame) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in (frame.rgb, frame.depth, frame.ids))).hexdigest()
 
 
@@ -425,7 +426,18 @@ def test_measurements_in_partial_frames_equal_those_in_the_whole_frame() -> None
         renderer.load(furnished_room(), CAMERA)
         for yaw in np.linspace(-3.0, 3.0, 9).tolist():
             for number in (8, 9, 99):  # no part has id 99
-                view, frame = (LazyFrame(lambda: renderer, Pose.planar(-1.0, 0.3, yaw), job, number) for _ in "12")
+                view, frame = (
+                    Observation(
+                        renderer=lambda: renderer,
+                        job=job,
+                        instance_id=number,
+                        pose=Pose.planar(-1.0, 0.3, yaw),
+                        distance_m=1.0,
+                        bearing_rad=0.0,
+                        is_touching=False,
+                    )
+                    for _ in "12"
+                )
                 assert frame.frame is not None
                 assert view.obstacle_near == frame.obstacle_near
                 assert view.target_mask[:2] == frame.target_mask[:2]

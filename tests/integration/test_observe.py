@@ -32,7 +32,7 @@ from schemas.terms import Recording
 from workers.geometry.camera import mounted_pose
 from workers.geometry.lens import pixel_centres, unproject
 from workers.geometry.pose import Pose
-from workers.sensors import CameraObservation
+from workers.sensors import CameraMeasurement
 
 pytestmark = pytest.mark.gl
 
@@ -54,8 +54,8 @@ def data(recordings: dict[Recording, Path]) -> Dataset:
     return Dataset(recordings[Recording.STATES], rig=RIG)
 
 
-def camera_of(found: object) -> CameraObservation:
-    assert isinstance(found, CameraObservation)
+def camera_of(found: object) -> CameraMeasurement:
+    assert isinstance(found, CameraMeasurement)
     return found
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from coordinator.validation.motion import motion_findings
 from schemas.config import CameraConfig, DemonstrationConfig, PlannerConfig, TaskConfig
+from schemas.frame import Frame
 from schemas.job import Job
 from schemas.scene import CompiledScene
 from schemas.support.geometry import footprint_distances, yaw_of
@@ -21,14 +22,14 @@ from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 from workers.physics.world import ColliderMesh, World
 from workers.planning import geodesic_m
-from workers.render import DepthAndIds, RenderedFrame
+from workers.render import DepthAndIds
 from workers.sim.context import prepare_scene
 from workers.sim.rollout import Drive, drive
 from workers.sim.spawn import draw_poses
 
 WALL = Box((0.8, -1.0, 0.0), (1.0, 3.0, 2.5))
 FENCE = Box((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))
-DARK = RenderedFrame(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), np.zeros((8, 8), np.uint16))
+DARK = Frame(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), np.zeros((8, 8), np.uint16))
 
 
 class EmptyRenderer:
@@ -38,7 +39,7 @@ class EmptyRenderer:
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None: ...
 
-    def render(self, pose: Pose) -> RenderedFrame:
+    def render(self, pose: Pose) -> Frame:
         return DARK
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:

@@ -13,12 +13,13 @@ from pydantic import ValidationError
 from schemas.appearance import CameraChange, CameraRanges
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
+from schemas.frame import Frame
 from schemas.rig import Camera, FisheyeCamera, Lidar2d, Lidar3d, Mount, PinholeCamera
 from schemas.scene import CompiledScene
 from schemas.support.closing import Closing
 from workers.appearance.factor_stream import FactorStream
 from workers.geometry.pose import Pose
-from workers.render import CameraImage, DepthAndIds, RenderedFrame, Renderer
+from workers.render import CameraImage, DepthAndIds, Renderer
 
 
 class ShiftedRenderer(Closing):
@@ -53,10 +54,10 @@ class ShiftedRenderer(Closing):
         """Frees prepared scenes of the other renderer; see `Renderer`."""
         self._renderer.make_room()
 
-    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns the image of the recorded camera with its change."""
         image = self.render_camera(recorded_camera(self._camera, size or self._size), pose)
-        return RenderedFrame(image.rgb, image.depth, image.ids)
+        return Frame(image.rgb, image.depth, image.ids)
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids of the frame that `render` returns."""

@@ -76,17 +76,6 @@ class ShapePlacement(NamedTuple):
     """Quaternion (w, x, y, z)."""
 
 
-class TinyImage(NamedTuple):
-    """Image of the TinyRenderer; rows from the top."""
-
-    rgba: NDArray[np.uint8]
-    """(H, W, 4) colour."""
-    depth: NDArray[np.float32]
-    """(H, W) OpenGL window depth, from 0 at the near plane to 1 at the far plane."""
-    bodies: NDArray[np.int32]
-    """(H, W) body id, -1 for no body."""
-
-
 def bullet_version() -> str:
     """Returns the version of the installed package `pybullet`."""
     return version("pybullet")
@@ -270,7 +259,7 @@ class BulletClient(Closing):
         projection: NDArray[np.float64],
         *,
         is_lit: bool = False,
-    ) -> TinyImage:
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
         """Renders an image with the TinyRenderer.
 
         Args:
@@ -279,6 +268,10 @@ class BulletClient(Closing):
             view: (4, 4) OpenGL view matrix for column vectors.
             projection: (4, 4) OpenGL projection matrix for column vectors.
             is_lit: whether PyBullet's light and shadow are applied.
+
+        Returns:
+            Colour (height, width, 4); OpenGL window depth (height, width), from 0 at the near plane to 1 at the far
+            plane; body of each pixel (height, width), -1 for none. Rows from the top.
         """
         _, _, rgba, depth, bodies = _p.getCameraImage(
             width,
@@ -289,7 +282,7 @@ class BulletClient(Closing):
             renderer=_p.ER_TINY_RENDERER,
             physicsClientId=self._id,
         )
-        return TinyImage(
+        return (
             np.asarray(rgba, np.uint8).reshape(height, width, 4),
             np.asarray(depth, np.float32).reshape(height, width),
             np.asarray(bodies, np.int32).reshape(height, width),

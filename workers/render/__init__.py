@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
+from schemas.frame import Frame
 from schemas.rig import Camera
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
@@ -23,9 +24,9 @@ __all__ = [
     "WHOLE",
     "CameraImage",
     "DepthAndIds",
+    "Frame",
     "PartialRenderer",
     "RenderedAtlas",
-    "RenderedFrame",
     "Renderer",
     "Window",
     "as_partial",
@@ -58,25 +59,13 @@ WHOLE = Window(0, 0, FRAME_SIZE_PX, FRAME_SIZE_PX)
 
 
 @dataclass(frozen=True)
-class RenderedFrame:
-    """Image of the camera; rows from the top, arrays not shared with the renderer."""
-
-    rgb: NDArray[np.uint8]
-    """(size, size, 3) sRGB; where no surface is visible, the sky of the scene, or black without one."""
-    depth: NDArray[np.float32]
-    """(size, size) metres along the optical axis; 0 where no surface is within the clip range."""
-    ids: NDArray[np.uint16]
-    """(size, size) instance id of the nearest surface; 0 for no surface."""
-
-
-@dataclass(frozen=True)
 class DepthAndIds:
     """Image without colour; its arrays equal those of a frame, bit for bit."""
 
     depth: NDArray[np.float32]
-    """Depth, as `RenderedFrame.depth`."""
+    """Depth, as `Frame.depth`."""
     ids: NDArray[np.uint16]
-    """Instance ids, as `RenderedFrame.ids`."""
+    """Instance ids, as `Frame.ids`."""
 
     def cut(self, window: Window) -> DepthAndIds:
         """Returns the part of a frame in a window."""
@@ -138,7 +127,7 @@ class Renderer(AbstractContextManager["Renderer", None], Protocol):
         If this frees the selected scene, `load` must select one before the next frame.
         """
 
-    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns the camera image for a pose of base_link.
 
         Args:

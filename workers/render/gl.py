@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
+from schemas.frame import Frame
 from schemas.rig import Camera
 from schemas.scene import CompiledScene
 from schemas.support.closing import Closing
@@ -25,7 +26,7 @@ from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import OpticalPose, Perspective, optical_pose, view_matrix
 from workers.geometry.faces import Face, FacePlan
 from workers.geometry.pose import Pose
-from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame, Window
+from workers.render import CameraImage, DepthAndIds, RenderedAtlas, Window
 from workers.render.compose import compose_image
 from workers.render.gl_scene import DrawOrder, GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
@@ -120,7 +121,7 @@ class GlRenderer(Closing):
         if not self._shelf.keys:  # without prepared scenes, the selected scene was freed, too
             self._scene = None
 
-    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns the camera image for a pose of base_link.
 
         Args:
@@ -142,7 +143,7 @@ class GlRenderer(Closing):
             depth_and_ids = target.read_depth_and_ids(image, rgb)
         self._sky.paint(rgb, depth_and_ids.depth, view.optical, image)
         self._timer("read-back")
-        return RenderedFrame(rgb, depth_and_ids.depth, depth_and_ids.ids)
+        return Frame(rgb, depth_and_ids.depth, depth_and_ids.ids)
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids without rendering colour, bit-identical to those of `render`.

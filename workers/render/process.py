@@ -12,13 +12,14 @@ from collections.abc import Callable, Hashable
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.errors import UsageError
+from schemas.frame import Frame
 from schemas.rig import Camera, CameraOutput
 from schemas.scene import CompiledScene, encode_scene
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
-from workers.render import CameraImage, DepthAndIds, RenderedFrame
+from workers.render import CameraImage, DepthAndIds
 from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import RequestKind
@@ -88,7 +89,7 @@ class ProcessRenderer(Closing):
         """Keys of the prepared scenes, the most recently used one last."""
         return self._shelf.keys
 
-    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns the camera image for a pose of base_link.
 
         Args:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from schemas.base import Model
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import MAX_SIZE_PX
+from schemas.frame import Frame
 from schemas.rig.cameras import MAX_PIXELS
 from workers.geometry.pose import Pose
-from workers.render import CameraImage, DepthAndIds, RenderedFrame
+from workers.render import CameraImage, DepthAndIds
 
 _PIXELS = max(MAX_SIZE_PX * MAX_SIZE_PX, MAX_PIXELS)
 _DEPTH_AT, _NORMALS_AT, _IDS_AT, _RGB_AT = 0, 4 * _PIXELS, 16 * _PIXELS, 18 * _PIXELS
@@ -97,7 +98,7 @@ class FrameMemory:
         os.ftruncate(descriptor, _BYTES)
         return descriptor
 
-    def put(self, seen: RenderedFrame | DepthAndIds | CameraImage) -> None:
+    def put(self, seen: Frame | DepthAndIds | CameraImage) -> None:
         """Stores a frame or a camera image, or depth and ids only."""
         height, width = seen.depth.shape
         self._depth(height, width)[:] = seen.depth
@@ -107,9 +108,9 @@ class FrameMemory:
         if isinstance(seen, CameraImage) and seen.normals is not None:
             self._normals(height, width)[:] = seen.normals
 
-    def take_frame(self, size: int) -> RenderedFrame:
+    def take_frame(self, size: int) -> Frame:
         """Returns a copy of the stored frame; `size` is its size."""
-        return RenderedFrame(self._rgb(size, size).copy(), self._depth(size, size).copy(), self._ids(size, size).copy())
+        return Frame(self._rgb(size, size).copy(), self._depth(size, size).copy(), self._ids(size, size).copy())
 
     def take_depth_and_ids(self, size: int) -> DepthAndIds:
         """Returns a copy of depth and ids of the stored frame; `size` is its size."""

@@ -17,6 +17,7 @@ from PIL import Image
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError
+from schemas.frame import Frame
 from schemas.rig import Camera
 from schemas.scene import CompiledScene, Layer
 from schemas.support.closing import Closing
@@ -26,7 +27,7 @@ from workers.geometry.faces import FacePlan
 from workers.geometry.pose import Pose
 from workers.physics.bullet import BulletClient, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
-from workers.render import CameraImage, DepthAndIds, RenderedAtlas, RenderedFrame
+from workers.render import CameraImage, DepthAndIds, RenderedAtlas
 from workers.render.compose import compose_image
 from workers.render.prepared_scenes import KEPT_SCENES, PreparedSceneCache
 from workers.render.sky import SkyPainter
@@ -78,7 +79,7 @@ class TinyRenderer(Closing):
         if not self._shelf.keys:  # without prepared scenes, the selected scene was freed, too
             self._scene = None
 
-    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns the camera image for a pose of base_link.
 
         Args:
@@ -115,19 +116,20 @@ class TinyRenderer(Closing):
             rgb[part][..., :3], atlas.depth[part], atlas.ids[part] = frame.rgb, frame.depth, frame.ids
         return atlas
 
-    def _render(self, view: Perspective, optical: OpticalPose) -> RenderedFrame:
+    def _render(self, view: Perspective, optical: OpticalPose) -> Frame:
         if self._scene is None:
             raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
-        image = self._scene.client.camera_image(view.width, view.height, view_matrix(optical), _at_pixel_centres(view))
+        camera = view_matrix(optical), _at_pixel_centres(view)
+        rgba, nearness, bodies = self._scene.client.camera_image(view.width, view.height, *camera)
         self._timer("render")
         near, far = view.near_m, view.far_m
         instance_of_body = self._scene.instance_of_body
-        depth = far * near / (far - (far - near) * image.depth.astype(np.float64))
-        hit = (image.bodies >= 0) & (depth >= near) & (depth <= far)
-        frame = RenderedFrame(
-            rgb=image.rgba[:, :, :3] * hit[:, :, None].astype(np.uint8),
+        depth = far * near / (far - (far - near) * nearness.astype(np.float64))
+        hit = (bodies >= 0) & (depth >= near) & (depth <= far)
+        frame = Frame(
+            rgb=rgba[:, :, :3] * hit[:, :, None].astype(np.uint8),
             depth=np.where(hit, depth, 0.0).astype(np.float32),
-            ids=np.where(hit, instance_of_body[image.bodies], 0).astype(np.uint16),
+            ids=np.where(hit, instance_of_body[bodies], 0).astype(np.uint16),
         )
         self._sky.paint(frame.rgb, frame.depth, optical, view)
         self._timer("read-back")

@@ -7,12 +7,12 @@ nothing.
 from workers.sensors.images import colour_steps, sense_colour, sense_depth
 from workers.sensors.imu import ImuMeasurements, sense_imu
 from workers.sensors.lidar import LidarScan, points_of, sense_lidar
-from workers.sensors.observation import CameraObservation
+from workers.sensors.observation import CameraMeasurement
 from workers.sensors.odometry import OdometryMeasurements, sense_odometry
 from workers.sensors.streams import NoiseKey
 
 __all__ = [
-    "CameraObservation",
+    "CameraMeasurement",
     "ImuMeasurements",
     "LidarScan",
     "NoiseKey",

@@ -25,7 +25,7 @@ from workers.sensors.odometry import OdometryMeasurements, sense_odometry
 from workers.sensors.streams import NoiseKey
 
 
-class CameraObservation(NamedTuple):
+class CameraMeasurement(NamedTuple):
     """Images of one camera at one step; `None` for an image that is not an output of the camera."""
 
     rgb: NDArray[np.uint8] | None = None
@@ -41,7 +41,7 @@ class CameraObservation(NamedTuple):
     defined. `None` if the episode ends before that image."""
 
 
-Observation = CameraObservation | LidarScan | ImuMeasurements | OdometryMeasurements
+Measurement = CameraMeasurement | LidarScan | ImuMeasurements | OdometryMeasurements
 """Measurement of any sensor."""
 
 
@@ -77,7 +77,7 @@ class Trajectory:
 
 def observe(
     sensor: Camera | Lidar2d | Lidar3d, t: int, track: Trajectory, scene: Surroundings
-) -> CameraObservation | LidarScan:
+) -> CameraMeasurement | LidarScan:
     """Returns the images of a camera, or the scan of a lidar, at step t of a trajectory, with the noise of the sensor.
 
     Raises:
@@ -90,11 +90,11 @@ def observe(
     return observe_camera(sensor, t, track, scene)
 
 
-def observe_camera(camera: Camera, t: int, track: Trajectory, scene: Surroundings) -> CameraObservation:
+def observe_camera(camera: Camera, t: int, track: Trajectory, scene: Surroundings) -> CameraMeasurement:
     """Returns the outputs of a camera at step t of a trajectory; raises the errors of `observe`."""
     image = scene.render_camera(Pose.of(track.poses[t]), camera)
     key, wanted = track.key(camera), camera.outputs
-    return CameraObservation(
+    return CameraMeasurement(
         _colour(camera, t, track, scene, image.rgb) if CameraOutput.RGB in wanted else None,
         sense_depth(camera, image.depth, key, t) if CameraOutput.DEPTH in wanted else None,
         image.ids if CameraOutput.IDS in wanted else None,
@@ -110,9 +110,9 @@ def measure(sensor: Imu | WheelOdometry, track: Trajectory) -> ImuMeasurements |
     return sense_odometry(sensor, track.twists, track.control_hz, track.key(sensor))
 
 
-def arrays_in(observation: Observation) -> dict[str, NDArray[Any]]:
+def arrays_in(measurement: Measurement) -> dict[str, NDArray[Any]]:
     """Returns the arrays of a measurement by the names of `schemas.rig.arrays.arrays_of`."""
-    values = observation._asdict() if isinstance(observation, CameraObservation) else vars(observation)
+    values = measurement._asdict() if isinstance(measurement, CameraMeasurement) else vars(measurement)
     return {name: array for name, array in values.items() if array is not None}
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from schemas.measure import STOPPED_RPS, Goal, hold_steps_of
 from schemas.scene import Target
 from schemas.terms import EndReason
 from schemas.tokens import tokens_of
-from workers.experts.observation import LazyFrame, Observation
+from workers.experts.observation import Observation
 from workers.geometry.slew import Twist, slew
 from workers.physics.world import World
 from workers.render import Renderer
@@ -143,7 +142,7 @@ class ClosedLoop:
         self.contact_steps += view.is_touching
         end = self._end_reason(view)
         if end is not None:
-            self.view = replace(view, end=end)
+            view.end = end
         return end
 
     def advance(self) -> None:
@@ -177,7 +176,9 @@ class ClosedLoop:
         self._poses.append((pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz))
         dx, dy = self._target.centroid_m[0] - pose.x, self._target.centroid_m[1] - pose.y
         return Observation(
-            camera=LazyFrame(self._renderer.get, pose, self._job, self._target.instance_id),
+            renderer=self._renderer.get,
+            job=self._job,
+            instance_id=self._target.instance_id,
             pose=pose,
             distance_m=self._goal.distance(pose.x, pose.y),
             bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),

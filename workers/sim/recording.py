@@ -24,7 +24,7 @@ from workers.appearance import changed_sensor
 from workers.geometry.pose import Pose
 from workers.render import CameraImage, Renderer
 from workers.sensors.lidar import RayCaster
-from workers.sensors.observation import Observation, Surroundings, Trajectory, arrays_in, measure, observe
+from workers.sensors.observation import Measurement, Surroundings, Trajectory, arrays_in, measure, observe
 from workers.sim.context import LoadedScene
 
 
@@ -118,7 +118,7 @@ def add_measurements(
     require_room(job.view.rig, track, scene, MAX_BUNDLE_BYTES, change)
     for sensor in job.view.rig.sensors:
         for t, _specs in measurements_of(sensor, len(arrays.poses), job.task.control_hz):
-            found: Observation
+            found: Measurement
             if isinstance(sensor, Imu | WheelOdometry):
                 found = measure(sensor, track)
             else:

@@ -12,10 +12,11 @@ import numpy as np
 
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.results import ReadBench, Spread
-from factory.dataset.episode import Episode, Frame
+from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.dataset.torch import FrameDataset, collate
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
+from schemas.frame import Frame
 from schemas.terms import Recording
 
 _SEED = 20

@@ -12,10 +12,11 @@ from factory.bench.results import SceneRender, Spread, StageCost
 from factory.dataset.rendering import shrink_frame
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
+from schemas.frame import Frame
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame, Renderer
+from workers.render import Renderer
 from workers.render.visible_parts import PartBounds, visible_parts
 
 _SEED = 20
@@ -53,7 +54,7 @@ def bench_render(
         antialias: Samples per pixel along each axis.
     """
 
-    def draw(pose: Pose) -> RenderedFrame:
+    def draw(pose: Pose) -> Frame:
         frame = renderer.render(pose, size * antialias)
         if antialias > 1:
             frame = shrink_frame(frame, antialias)

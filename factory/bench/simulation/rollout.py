@@ -80,13 +80,13 @@ def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, recorder: 
     world.step()
     recorder("physics")
     view, projection = view_matrix(optical_pose(pose, job.camera)), projection_matrix(job.camera)
-    image = shown.client.camera_image(FRAME_SIZE_PX, FRAME_SIZE_PX, view, projection, is_lit=True)
+    rgba, depth, bodies = shown.client.camera_image(FRAME_SIZE_PX, FRAME_SIZE_PX, view, projection, is_lit=True)
     recorder("getCameraImage")
-    _save_png(image.rgba[:, :, :3])
+    _save_png(rgba[:, :, :3])
     recorder("Pillow RGB")
-    _save_png(image.bodies.astype(np.uint16))
+    _save_png(bodies.astype(np.uint16))
     recorder("Pillow ids")
-    np.save(io.BytesIO(), image.depth)
+    np.save(io.BytesIO(), depth)
     recorder("np.save depth")
 
 

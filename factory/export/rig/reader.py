@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from schemas.rig import Camera, Lidar2d, Lidar3d, Rig
-from workers.sensors import CameraObservation, ImuMeasurements, LidarScan, OdometryMeasurements
+from workers.sensors import CameraMeasurement, ImuMeasurements, LidarScan, OdometryMeasurements
 
 Array = NDArray[Any]
-Seen = CameraObservation | LidarScan
+Seen = CameraMeasurement | LidarScan
 Motion = ImuMeasurements | OdometryMeasurements
 
 

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from factory.scenes.pictures.viewpoints import Viewpoint, looking
+from schemas.frame import Frame
 from schemas.scene import CompiledScene, Target
 from workers.geometry.grid import Grid
-from workers.render import RenderedFrame, Renderer
+from workers.render import Renderer
 
 _MOST_A_CATEGORY = 12
 _TILE_PX, _TEXT_PX = 200, 34
@@ -126,9 +127,9 @@ def _tiles(eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_pl
         yield np.asarray(Image.fromarray(rgb).resize((_TILE_PX, _TILE_PX), Image.Resampling.LANCZOS))
 
 
-def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> RenderedFrame:
+def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> Frame:
     """Renders views from all around, and returns the one with the most pixels of the target; prefers the open side."""
-    looks: list[RenderedFrame] = []
+    looks: list[Frame] = []
     for turn in _TURNS_DEG:
         view = _view_in_place(scene, target, facing(scene, target) + math.radians(turn))
         eye.load(scene, view.camera)

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
+from schemas.frame import Frame
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
-from workers.render import RenderedFrame, Renderer
+from workers.render import Renderer
 
 _HEADINGS = 10
 _NEAR_M, _FULL_DEPTH_M = 0.7, 4.0
@@ -78,7 +79,7 @@ def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> 
                 yield looking(place, yaw, height.pitch_rad, height.fov_deg)
 
 
-def score_view(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
+def score_view(frame: Frame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
     """Returns the score of a frame: high for large and distant objects that earlier images do not show.
 
     Args:
@@ -113,7 +114,7 @@ def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count
         count: number of viewpoints.
     """
     targets = frozenset(target.instance_id for target in scene.info.targets)
-    tried: list[tuple[Viewpoint, RenderedFrame]] = []
+    tried: list[tuple[Viewpoint, Frame]] = []
     for view in try_views(scene, height):
         eye.load(scene, view.camera)
         tried.append((view, eye.render(view.pose)))

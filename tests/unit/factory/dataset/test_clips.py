@@ -11,9 +11,9 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.dataset.rendering import mean_of_blocks, middle_of_blocks, shrink_frame
 from factory.dataset.torch import ClipDataset, FrameDataset, collate
+from schemas.frame import Frame
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import make_dataset
-from workers.render import RenderedFrame
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_colours_of_a_block_are_averaged_and_depth_and_ids_are_not() -> None:
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 256, (12, 12, 3), dtype=np.uint8)
     depth, ids = rng.random((12, 12), np.float32), rng.integers(0, 9, (12, 12), dtype=np.uint16)
-    small = shrink_frame(RenderedFrame(rgb, depth, ids), 3)
+    small = shrink_frame(Frame(rgb, depth, ids), 3)
     means = rgb.reshape(4, 3, 4, 3, 3).mean(axis=(1, 3))
     assert np.abs(small.rgb - means).max() < 1
     assert np.array_equal(small.depth, depth[1::3, 1::3])

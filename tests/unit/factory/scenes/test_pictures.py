@@ -7,15 +7,13 @@ import pytest
 
 from factory.scenes.pictures.sheet import alone, known_colours, model_name, variants
 from factory.scenes.pictures.viewpoints import EYE, looking, score_view, try_views
+from schemas.frame import Frame
 from tests.builders.scene import box_room
 from workers.geometry.camera import optical_pose
-from workers.render import RenderedFrame
 
 
-def frame(ids: np.ndarray, depth_m: float = 3.0) -> RenderedFrame:
-    return RenderedFrame(
-        np.zeros((*ids.shape, 3), np.uint8), np.full(ids.shape, depth_m, np.float32), ids.astype(np.uint16)
-    )
+def frame(ids: np.ndarray, depth_m: float = 3.0) -> Frame:
+    return Frame(np.zeros((*ids.shape, 3), np.uint8), np.full(ids.shape, depth_m, np.float32), ids.astype(np.uint16))
 
 
 def picture(*things: int) -> np.ndarray:
