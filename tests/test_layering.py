@@ -48,7 +48,7 @@ DOORS = {
     "trimesh": {"factory/export/vlnce/exporter.py", "factory/scenes/formats/meshes.py"},
     "collada": {"factory/scenes/formats/collada.py"},
     "defusedxml": {"factory/scenes/formats/xml_text.py"},
-    "mujoco": {"factory/scenes/formats/mjcf/"},
+    "mujoco": {"factory/scenes/formats/mjcf.py"},
     "rosbags": {"factory/export/mcap/ros2_cdr.py"},
     "rerun": {"factory/visualize/rerun.py"},
     "embreex": {"workers/geometry/rays.py"},
@@ -110,7 +110,7 @@ def test_only_two_modules_define_how_a_with_block_ends():
 
 
 def test_imports_between_modules_form_no_cycle():
-    names = {_module(path): path for path in sources()}
+    names = {module_name(path): path for path in sources()}
     graph = {
         name: {other for other in imports_of(path) if other in names and other != name} for name, path in names.items()
     }
@@ -136,7 +136,7 @@ def test_every_module_has_a_docstring():
     assert not silent
 
 
-def _module(path: Path) -> str:
+def module_name(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 

@@ -182,9 +182,7 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
-        from factory.dataset.rendering import (
-            observe,  # slow to import, and rarely needed
-        )
+        from factory.dataset.sensor_reading import observe
 
         chosen, step = self._sensors(sensors), self._step(t)
         with self._reading() as bundle:
@@ -204,7 +202,7 @@ class Episode(Closing):
         Raises:
             UsageError: The dataset was opened without a rig, or the rig has no sensor of that name.
         """
-        from factory.dataset.rendering import measure
+        from factory.dataset.sensor_reading import measure
 
         chosen = self._sensors(sensors)
         with self._reading() as bundle:

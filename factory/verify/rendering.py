@@ -16,7 +16,8 @@ from coordinator.validation.rollout import arrival_findings, visibility_findings
 from coordinator.validation.start import start_findings
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.episode import Episode
-from factory.dataset.rendering import shared_renderer, trajectory_of
+from factory.dataset.rendering import shared_renderer
+from factory.dataset.sensor_reading import trajectory_of
 from schemas.encoding.digest import frame_digest
 from schemas.frame import Frame
 from schemas.rig import Imu, WheelOdometry

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from factory.dataset.bundle import EpisodeBundle
-from factory.dataset.rendering import observe, observe_camera
+from factory.dataset.sensor_reading import observe, observe_camera
 from factory.visualize.panels import show_depth, show_ids
 from schemas.rig import Camera, CameraOutput, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
 from workers.geometry.camera import mount_rotation
