@@ -49,10 +49,22 @@ check: $(READY)
 	$(VENV)/bin/mypy
 
 # measures the time of each stage of a frame in every scene, compared with plain PyBullet; then the renderer, a coordinator
-# with a million jobs, and the reader, compared with their targets; takes fifteen minutes on an otherwise idle machine
+# with a million jobs, and the reader, compared with their targets; takes fifteen minutes on an otherwise idle machine.
+# BENCH="NAME ARGUMENTS" runs one of the other benchmarks; BENCH="NAME --help" prints its arguments:
+#   memory       memory of a simulation over many episodes
+#   coordinator  leases, announcements, validation and archive with a large ledger, and memory with many sessions
+#   delivery     bundles that a coordinator archives per second, with and without spot checks
+#   sessions     CPU time and commits of a coordinator with thousands of workers, in virtual time
+#   dataset      opening, filtering, reading, verification and checkpoints of a large dataset
+#   serve        pages, frames and playback of the web page of a dataset: BENCH="serve DIR"
+#   visited      cost of viewers and attackers of the web page for a run
 bench: $(READY)
+ifdef BENCH
+	$(VENV)/bin/python -m tests.benchmarks.$(BENCH)
+else
 	$(VENV)/bin/factory bench rollout --against plain
 	$(VENV)/bin/python -m tests.benchmarks.figures render coordinator read
+endif
 
 # injects kills, freezes, lost replies and full disks for half an hour, with a hostile peer and a faulty host in every round
 # (PEERS=--no-peers omits them); every dataset must equal that of an undisturbed run. RECORD=states records states

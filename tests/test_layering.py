@@ -27,8 +27,6 @@ DOORS = {
         "coordinator/protocol/router.py",
         "coordinator/protocol/zenoh_config.py",
         "coordinator/protocol/ask.py",
-        "factory/bench/service/fleet.py",
-        "factory/bench/service/delivery_fleet.py",
     },
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},

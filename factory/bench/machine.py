@@ -52,16 +52,6 @@ def measure_memory(start_mib: float, pid: int | str = "self") -> Memory:
     return Memory(start_mib=start_mib, end_mib=resident_mib(pid), peak_mib=_peak_mib(pid))
 
 
-def cpu_s_of_children() -> float:
-    """Returns the CPU time of the running direct children of this process, seconds."""
-    total = 0
-    for listed in Path("/proc/self/task").glob("*/children"):
-        for pid in listed.read_text(encoding="ascii").split():
-            fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-            total += int(fields[11]) + int(fields[12])
-    return total / os.sysconf("SC_CLK_TCK")
-
-
 def _peak_mib(pid: int | str) -> float:
     # the kernel keeps the maximum of getrusage across an exec, so it would include the memory of the parent process
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():

@@ -1,4 +1,4 @@
-"""Models of benchmark results: spreads over runs, machine, workload, delivery and sessions. Measures nothing.
+"""Models of benchmark results: machine, spreads over runs, memory, and one model for each benchmark. Measures nothing.
 
 Wall times are those that a user observes; CPU times are those of the process with all its threads, including llvmpipe.
 """
@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from statistics import median
-from typing import NamedTuple, Self
+from typing import Self
 
-from coordinator.settings import CoordinatorSettings
 from schemas.base import Model
 from schemas.terms import ExpertName, Recording
 
@@ -54,7 +53,7 @@ class Memory(Model):
 
     start_mib: float
     """Memory before the measured work, MiB. `factory bench rollout` measures it after the warm-up episode, when scene,
-    shaders and buffers are loaded; `factory bench memory` measures it before the first episode."""
+    shaders and buffers are loaded."""
     end_mib: float
     """Memory at the end of the measured work, MiB."""
     peak_mib: float
@@ -135,26 +134,6 @@ class CollectBench(Model):
     """Recording and expert, such as `states, planner` -> pace."""
 
 
-class MemoryBench(Model):
-    """Result of `factory bench memory`."""
-
-    bench: str = "memory"
-    machine: Machine
-    renderer: str
-    scenes: tuple[str, ...]
-    """Names of the scenes, in the order of execution."""
-    episodes: int
-    succeeded: int
-    """Number of successful episodes. Most episodes have a short step limit and end before they can succeed."""
-    frames: int
-    """Total number of frames."""
-    settled_mib: float
-    """Median memory over the second tenth of the episodes, MiB; by then all scenes are loaded and caches are full."""
-    last_mib: float
-    """Median memory over the last tenth, MiB; the difference to `settled_mib` is the growth."""
-    memory: Memory
-
-
 class RolloutBench(Model):
     """Result of `factory bench rollout`."""
 
@@ -199,77 +178,6 @@ class RenderBench(Model):
     scenes: dict[str, SceneRender]
 
 
-class SessionLoad(Model):
-    """Result of many simultaneous worker sessions."""
-
-    sessions: int
-    memory: Memory
-    """Memory of the coordinator with all sessions."""
-
-
-class DeliveryLoad(Model):
-    """Result of simultaneous deliveries: all workers finish a large bundle, while another worker claims jobs."""
-
-    workers: int
-    bundle_mb: float
-    """Size of each bundle, MB (1e6 bytes)."""
-    seconds: float
-    """Wall time until the last bundle was archived and deleted, seconds."""
-    mb_per_s: float
-    claims: int
-    """Number of claims that the other worker sent during the deliveries."""
-    claim_p50_ms: float
-    claim_p99_ms: float
-    memory: Memory
-    """Memory of the coordinator."""
-
-
-class WireBench(Model):
-    """Result for a complete coordinator in a separate process, with worker processes over zenoh on loopback."""
-
-    cycles_per_s: Spread
-    """Cycles of claim and announcement per second of wall time. The coordinator replies when a change is durable."""
-    archived_per_s: Spread
-    """Small bundles that the coordinator pulls and archives per second while the workers claim and announce."""
-    coordinator_cpu_ms: Spread
-    """CPU time of the coordinator process per cycle, including the concurrent pulling, milliseconds."""
-    workers_cpu_ms: Spread
-    """CPU time of the worker process per cycle, milliseconds. The process shares the cores with the coordinator."""
-    start_s: Spread
-    """Time from the start of the coordinator with a filled ledger until it listens, seconds."""
-    session_load: SessionLoad
-    delivery_load: DeliveryLoad
-
-
-class CoordinatorBench(Model):
-    """Result of `factory bench coordinator`."""
-
-    bench: str = "coordinator"
-    machine: Machine
-    jobs: int
-    """Number of jobs in the ledger."""
-    workers: int
-    """Number of concurrent requests."""
-    fill_s: float
-    """Time to expand the plan and write its jobs, seconds."""
-    cycles_per_s: Spread
-    """Cycles of lease, announcement and archive per second of wall time, durable on disk."""
-    reopen_s: Spread
-    """Time to reopen the filled ledger and compare it with the plan, seconds."""
-    progress_s: Spread
-    """Time to read the progress of the filled ledger, seconds."""
-    validate_ms_per_frame: Spread
-    """Wall time to validate real bundles in the validation process, milliseconds per frame."""
-    pullers: int
-    """Number of validating processes that work at the same time."""
-    validated_frames_per_s: Spread
-    """Frames of real bundles per second of wall time, summed over the `pullers` validating processes."""
-    archive_mb_per_s: Spread
-    """Throughput of copy, hash, fsync and rename of real bundles, MB per second of wall time."""
-    memory: Memory
-    wire: WireBench
-
-
 class ReadBench(Model):
     """Result of `factory bench read`."""
 
@@ -299,114 +207,3 @@ class ReadBench(Model):
     threads_frames_per_s: Spread | None = None
     """Frames per second of a shuffled DataLoader that decodes in threads on all cores; `None` without torch."""
     memory: Memory
-
-
-class DeliveryCost(NamedTuple):
-    """Measurement of one variant."""
-
-    seconds: float
-    """Wall time, seconds."""
-    cpu_s: float
-    """CPU time of the coordinator and its validating processes, seconds."""
-    unchecked: int
-    """Number of archived episodes whose frames only their worker has validated."""
-
-
-class DeliveryPace(Model):
-    """Pace of a coordinator that archives valid bundles; CPU times include its validating processes."""
-
-    pullers: int
-    """Number of bundles that are transferred and validated at the same time."""
-    spot_checks: float | None
-    """Share of the bundles validated by workers that the coordinator validates completely again. `None`: the
-    coordinator validates all bundles."""
-    validated: int
-    """Number of episodes that the coordinator validated completely."""
-    seconds: float
-    """Wall time, seconds; the simulated workers use the same cores."""
-    cpu_s: float
-    """CPU time of the coordinator, seconds."""
-    frames_per_s: float
-    """Archived frames per second of wall time."""
-    frames_per_cpu_s: float
-    """Archived frames per second of CPU time."""
-    episodes_per_s: float
-    """Archived episodes per second of wall time."""
-    episodes_per_cpu_s: float
-    """Archived episodes per second of CPU time."""
-
-    @classmethod
-    def of(cls, settings: CoordinatorSettings, frames: int, episodes: int, cost: DeliveryCost) -> Self:
-        """Returns the pace of a variant from its measurement and the number of archived frames and episodes."""
-        seconds, cpu_s, unchecked = cost
-        return cls(
-            pullers=settings.pullers,
-            spot_checks=settings.spot_checks,
-            validated=episodes - unchecked,
-            seconds=seconds,
-            cpu_s=cpu_s,
-            frames_per_s=frames / seconds,
-            frames_per_cpu_s=frames / cpu_s,
-            episodes_per_s=episodes / seconds,
-            episodes_per_cpu_s=episodes / cpu_s,
-        )
-
-
-class DeliveryBench(Model):
-    """Result of `factory bench delivery`."""
-
-    bench: str = "delivery"
-    machine: Machine
-    record: Recording
-    episodes: int
-    """Number of archived episodes of each variant."""
-    frames: int
-    """Number of steps of these episodes."""
-    mb_per_episode: float
-    """Mean size of a bundle, MB (1e6 bytes)."""
-    workers: int
-    """Number of simulated workers."""
-    paces: tuple[DeliveryPace, ...]
-    """Pace of each variant; the variants differ in the share of spot checks."""
-
-
-class VerbLoad(Model):
-    """Requests of one verb."""
-
-    per_s: float
-    """Requests per second of simulated time."""
-    received_bytes: float
-    """Mean size of a request, bytes."""
-    sent_bytes: float
-    """Mean size of a reply, bytes."""
-    cpu_us: float
-    """Mean CPU time of a request for parsing, ledger and reply, without commit and network, microseconds."""
-
-
-class SessionsBench(Model):
-    """Result of `factory bench sessions`."""
-
-    bench: str = "sessions"
-    machine: Machine
-    sessions: int
-    """Number of workers, each with one session."""
-    cores: int
-    """Number of simulations of each worker."""
-    episode_s: float
-    """Mean duration of an attempt, seconds."""
-    lease_s: float
-    """Lease time, seconds."""
-    seconds: float
-    """Simulated time, seconds."""
-    verbs: dict[str, VerbLoad]
-    """Verb -> load. The entry `archive` is not a request: it is the ledger's work to record an archived episode."""
-    episodes_per_s: float
-    """Archived episodes per second of simulated time."""
-    commits_per_s: float
-    """Commits of the ledger per second of simulated time; each is one fsync."""
-    commit_us: float
-    """CPU time of a commit, microseconds."""
-    ledger_bytes_per_episode: float
-    """Growth of the ledger per archived episode, bytes."""
-    coordinator_cores: float
-    """CPU time per second of simulated time, without network and bundles."""

@@ -1,13 +1,19 @@
-"""Workload of the benchmarks: a plan with fewer scenes and episodes, and a small real dataset. Measures nothing."""
+"""Workload of the benchmarks: a plan with fewer scenes and episodes, and a small real dataset. Measures nothing.
+
+Imports PyBullet only to simulate, because rendering and reading are measured without it.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.directory import DirectoryArchive
@@ -19,8 +25,19 @@ from schemas.dataset.rows import EpisodeSummary, file_name_of, summary_of
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.plan import Plan
-from workers.sim.attempt import AttemptFailure, run_attempt
-from workers.sim.context import SceneRenderer
+
+if TYPE_CHECKING:
+    from workers.sim.context import SceneRenderer
+
+SAMPLE_PLAN = "demo"
+"""Plan of the benchmarks that need a few episodes of each scene."""
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yields a folder that is deleted at the end."""
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        yield Path(folder)
 
 
 def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
@@ -38,13 +55,6 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
             f"--episodes {episodes}: plan {plan.name!r} has fewer episodes ({', '.join(short)}); choose another PLAN"
         )
     return plan.model_copy(update={"scenes": tuple(part.model_copy(update={"episodes": episodes}) for part in parts)})
-
-
-def enlarge(plan: Plan, episodes: int) -> Plan:
-    """Returns the plan with at least `episodes` episodes, in the same proportions."""
-    times = -(-episodes // plan.episodes)
-    scenes = (scene.model_copy(update={"episodes": scene.episodes * times}) for scene in plan.scenes)
-    return plan.model_copy(update={"scenes": tuple(scenes)})
 
 
 def first_attempts(plan: Plan, catalog: Catalog, scene: str) -> tuple[Job, ...]:
@@ -98,6 +108,8 @@ def make_sample(
 
 
 def _try(archive: Archive, job: Job, stage: SceneRenderer) -> EpisodeSummary | None:
+    from workers.sim.attempt import AttemptFailure, run_attempt
+
     out = BytesIO()
     outcome = run_attempt(job, stage, out, "bench", lambda _step: None)
     if isinstance(outcome, AttemptFailure):

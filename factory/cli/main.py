@@ -27,7 +27,7 @@ from workers.process.one_core import one_core
 
 _MAKE, _INSPECT, _USE, _LEARN = "Generate", "Inspect", "Export", "Train and evaluate"
 _FARM, _OTHER = "Multiple hosts", "Other"
-_MEASURED = {("bench", "rollout"), ("bench", "render"), ("bench", "memory")}
+_MEASURED = {("bench", "rollout"), ("bench", "render")}
 """Benchmark commands that simulate in this process, and therefore need the environment variables of a simulation
 process."""
 
@@ -75,7 +75,7 @@ VERBS = MappingProxyType(
         "gather": CommandEntry("farm.gather", _FARM, "Copy the episodes of gateways or shards into one dataset."),
         "submit": CommandEntry("farm.submit", _FARM, "Submit a run to a batch system."),
         "keys": CommandEntry("farm.keys", _FARM, "Create and list the TLS certificates of hosts."),
-        "bench": CommandEntry("other.bench", _OTHER, "Measure the performance of this machine."),
+        "bench": CommandEntry("bench", _OTHER, "Measure the performance of this machine."),
         "completion": CommandEntry("other.completion", _OTHER, "Print the completion script of a shell."),
     }
 )

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +16,7 @@ from tests.acceptance.factory_cli import FactoryCli, Started, wait_for
 from tests.builders.browser import chromium, why_no_chromium
 from tests.builders.process_state import children_of
 
+ROOT = Path(__file__).parents[2]
 REASON = why_no_chromium()
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(REASON), reason=REASON)]
 
@@ -29,9 +34,22 @@ def printed_url(run: Started) -> str:
     return found[0]
 
 
-def test_the_benchmark_reports_the_cost_of_each_kind_of_visitor(factory: FactoryCli, plan: Path):
+def start_benchmark(cache: Path, *words: object) -> subprocess.Popen[str]:
+    """Starts the benchmark of visitors in a new interpreter, with the cache of the session."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.benchmarks.visited", *map(str, words)],
+        cwd=ROOT,
+        env={**os.environ, "MINIVLA_CACHE": str(cache)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_the_benchmark_reports_the_cost_of_each_kind_of_visitor(cache: Path, plan: Path):
     words = (plan, "--workers", 1, "--seconds", 2, "--rounds", 1, "--viewers", 2, "--requests", 100)
-    costs = factory.json("bench", "visited", *words)["costs"]
+    with start_benchmark(cache, *words, "--json") as bench:
+        costs = json.loads(bench.communicate(800)[0])["costs"]
+    assert bench.returncode == 0
     assert list(costs) == ["none", "viewers", "attackers"]
     for cost in costs.values():
         assert cost["episodes_per_s"]["low"] > 0
@@ -39,8 +57,8 @@ def test_the_benchmark_reports_the_cost_of_each_kind_of_visitor(factory: Factory
         assert cost["cpu_s_per_episode"]["low"] > 0
 
 
-def test_a_terminated_benchmark_ends_its_run(factory: FactoryCli):
-    bench = factory.start("bench", "visited", "demo", "--workers", 1)
+def test_a_terminated_benchmark_ends_its_run(cache: Path):
+    bench = start_benchmark(cache, "demo", "--workers", 1)
     runs: set[int] = set()
 
     def is_started() -> bool:

@@ -52,7 +52,7 @@ def expand(plan: Plan, entry: SceneEntry, layouts: int, ledger: Path) -> None:
     now = datetime.now(UTC)
     engine = open_writer(f"sqlite:///{ledger}")
     with engine.connect() as connection:
-        built = dict.fromkeys(built_layouts(connection) if holds_run(connection) else (), entry)
+        built = dict.fromkeys(built_layouts(connection, plan.episodes) if holds_run(connection) else (), entry)
     open_run(engine, plan, built, 15.0, now)
     _say(f"opened, {len(built)} layouts inserted by an earlier run")
     with engine.begin() as connection:

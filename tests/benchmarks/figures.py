@@ -1,4 +1,4 @@
-"""Runs `factory bench` and prints the measured values with their targets in one table. Asserts nothing.
+"""Runs benchmarks and prints the measured values with their targets in one table. Asserts nothing.
 
 Wall-clock times are meaningful only on an otherwise idle machine; the table shows the load before each benchmark.
 
@@ -15,13 +15,15 @@ from typing import Any, NamedTuple
 
 from factory.commands.common.output import print_table
 
+COORDINATOR = ["--jobs", "1000000", "--workers", "64", "--sessions", "2000", "--bundle-mb", "32"]
 BENCHES = {
-    "rollout": ["rollout", "--against", "plain"],
-    "render": ["render", "--size", "224"],
-    "coordinator": ["coordinator", "--jobs", "1000000", "--workers", "64", "--sessions", "2000", "--bundle-mb", "32"],
-    "read": ["read"],
-    "loader": ["read", "--size", "224"],
+    "rollout": ["factory", "bench", "rollout", "--against", "plain"],
+    "render": ["factory", "bench", "render", "--size", "224"],
+    "coordinator": ["tests.benchmarks.coordinator", *COORDINATOR],
+    "read": ["factory", "bench", "read"],
+    "loader": ["factory", "bench", "read", "--size", "224"],
 }
+"""Module and arguments of each benchmark."""
 
 
 class Figure(NamedTuple):
@@ -93,10 +95,10 @@ def main(names: list[str]) -> None:
     """Runs the named benchmarks, or all, and prints their results."""
     rows = []
     for name in names or list(BENCHES):
-        command = [sys.executable, "-m", "factory", "bench", *BENCHES[name], "--json"]
+        command = [sys.executable, "-m", *BENCHES[name], "--json"]
         report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
         rows += [figure.row() for figure in FIGURES[name](report)]
-        rows.append((f"(load before `bench {name}`)", report["machine"]["load_1m"], "", ""))
+        rows.append((f"(load before `{name}`)", report["machine"]["load_1m"], "", ""))
     print_table("figures and targets", ("what", "measured", "target", "reached"), rows)
 
 

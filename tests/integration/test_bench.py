@@ -1,4 +1,4 @@
-"""The benchmarks on real work in a small room: rendering, rollout and plain pipeline, coordinator."""
+"""The benchmarks on real work in a small room, those of `factory bench` and those of `tests.benchmarks`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,9 @@ from coordinator.expansion.catalog import read_entry
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from factory.bench.machine import StageRecorder
-from factory.bench.reading.dataset import bench_dataset
-from factory.bench.reading.serve import bench_serve
-from factory.bench.reading.synthetic import make_synthetic
-from factory.bench.service.coordinator import bench_coordinator
-from factory.bench.service.delivery import bench_delivery
-from factory.bench.simulation.memory import bench_memory
-from factory.bench.simulation.render import bench_render
-from factory.bench.simulation.rollout import bench_rollout
-from factory.bench.workload import BenchSample, enlarge, first_attempts
+from factory.bench.render import bench_render
+from factory.bench.rollout import bench_rollout
+from factory.bench.workload import BenchSample, first_attempts
 from factory.dataset.reader import Dataset
 from factory.runs.scene_packages import find_package
 from schemas.config import CameraConfig, TaskConfig
@@ -30,6 +24,12 @@ from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.scene import encode_scene
 from schemas.terms import Recording
+from tests.benchmarks.coordinator import bench_coordinator
+from tests.benchmarks.dataset import bench_dataset
+from tests.benchmarks.delivery import bench_delivery
+from tests.benchmarks.memory import bench_memory
+from tests.benchmarks.serve import bench_serve
+from tests.benchmarks.synthetic import enlarge, make_synthetic
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.dataset import make_dataset
 from tests.builders.ledger import room_catalog, room_plan

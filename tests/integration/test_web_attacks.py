@@ -16,7 +16,6 @@ import pytest
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.bench.service.attack import flood, slow_clients
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.web.start import serve
@@ -24,6 +23,7 @@ from schemas.errors import UsageError
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Beat, BeatReply, HelloReply, HostMemory
 from schemas.terms import Recording
+from tests.benchmarks.attack import flood, slow_clients
 from tests.builders.archived import ArchivedRun
 from tests.builders.dataset import make_dataset
 from tests.builders.keys import files_of, make_authority

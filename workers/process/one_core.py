@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-_THREADS = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+ONE_THREAD = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""Variables with which Mesa and numpy start no threads."""
 _TUNABLES = "GLIBC_TUNABLES"
 _HUGE_PAGES = "glibc.malloc.hugetlb=1"
 """Tunable with which malloc requests transparent huge pages. Texture lookups then cause fewer TLB misses, which saves
@@ -27,4 +28,4 @@ def one_core(environment: Mapping[str, str], many_scenes: bool = False) -> dict[
     ours = [_HUGE_PAGES, *([_FREED_ARRAYS] if many_scenes else [])]
     names = [each.partition("=")[0] for each in ours]
     tuned = [each for each in environment.get(_TUNABLES, "").split(":") if each and each.partition("=")[0] not in names]
-    return {**environment, **_THREADS, _TUNABLES: ":".join([*tuned, *ours])}
+    return {**environment, **ONE_THREAD, _TUNABLES: ":".join([*tuned, *ours])}

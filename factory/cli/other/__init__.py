@@ -1,1 +1,1 @@
-"""Commands `bench` and `completion`."""
+"""Command `completion`."""

@@ -19,11 +19,11 @@ from factory.bench.machine import (
     resident_mib,
     stage_costs,
 )
-from factory.bench.reading.read import bench_read
+from factory.bench.read import bench_read
+from factory.bench.render import poses_in
 from factory.bench.results import RolloutBench, Spread
-from factory.bench.simulation.render import poses_in
+from factory.bench.tables import show_rollout
 from factory.bench.workload import narrow
-from factory.commands.other.bench_tables import show_rollout
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
 from tests.builders.dataset import make_dataset
@@ -126,6 +126,7 @@ def test_reading_is_measured_on_the_existing_episodes(tmp_path) -> None:
 
 def test_frames_are_measured_without_the_packages_of_a_simulation() -> None:
     modules = "{'pybullet', 'zenoh', 'sqlalchemy'}"
-    code = f"import sys, factory.commands.other.bench_frames; print({modules} & {{*sys.modules}})"
+    needed = ", ".join(f"factory.bench.{name}" for name in ("read", "render", "tables", "workload"))
+    code = f"import sys, factory.runs.catalog, {needed}; print({modules} & {{*sys.modules}})"
     command = [sys.executable, "-P", "-c", code]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "set()\n"

@@ -101,6 +101,8 @@ def test_the_command_table_has_the_summary_of_each_command() -> None:
 
 def test_the_docstring_of_each_package_names_its_commands() -> None:
     for name, verb in VERBS.items():
+        if "." not in verb.module:
+            continue
         package = importlib.import_module(f"factory.cli.{verb.module.rpartition('.')[0]}")
         assert f"`{name}`" in (package.__doc__ or ""), package.__name__
 
@@ -235,6 +237,8 @@ def run(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> int:
         (("jobs", "retri"), "No such command 'retri'; did you mean 'retry'?"),
         (("scene", "imprt"), "No such command 'imprt'; did you mean 'import'?"),
         (("bench", "rolout"), "No such command 'rolout'; did you mean 'rollout'?"),
+        (("bench", "coordinator", "--json"), "in a checkout of the repository: python -m tests.benchmarks.coordinator"),
+        (("bench", "serve", "--help"), "in a checkout of the repository: python -m tests.benchmarks.serve"),
         (("eval", "D", "--policies", "stop"), "No such option '--policies'; did you mean '--policy'"),
         (("jobs", "list", "D", "--teir", "near"), "No such option '--teir'; did you mean '--tier'"),
         (("eval", "D", "--dat", "x"), "No such option '--dat'"),
@@ -310,11 +314,12 @@ def test_the_function_of_every_command_takes_the_options_of_the_command() -> Non
         found = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)]
         names = {parameter.name: None for parameter in command.params if parameter.expose_value}
         for node in found:
-            if node.module is not None and node.module.startswith("factory.commands."):
-                function = getattr(importlib.import_module(node.module), node.names[0].name)
+            module = node.module or ""
+            if module.startswith("factory.commands.") and not module.startswith("factory.commands.common."):
+                function = getattr(importlib.import_module(module), node.names[0].name)
                 inspect.signature(function).bind(**names)  # raises TypeError if they differ
                 checked += 1
-    assert checked > 50
+    assert checked > 40
 
 
 def test_commands_import_scipy_submodules_lazily() -> None:

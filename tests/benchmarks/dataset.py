@@ -1,6 +1,8 @@
 """Benchmarks a large dataset of states: open, filter, sample, verify, checkpoint and status. Generates no dataset.
 
 Each part runs in a fresh process, whose peak memory is part of the result.
+
+    python -m tests.benchmarks.dataset --episodes 20000
 """
 
 from __future__ import annotations
@@ -13,9 +15,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
+import click
 import numpy as np
 
 from coordinator.archive.opening import open_archive
+from coordinator.expansion.plan_file import load_plan, shrink
 from coordinator.ledger import outcomes
 from coordinator.ledger.database.engine import open_reader, open_writer
 from coordinator.ledger.opening import ledger_url_of
@@ -24,10 +28,21 @@ from coordinator.ledger.reading.progress import read_progress
 from coordinator.tables.checkpoint import Checkpoints
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.results import Machine, Memory
+from factory.bench.tables import print_machine
+from factory.bench.workload import SAMPLE_PLAN, make_sample, narrow, temporary_folder
+from factory.cli.common.options import count_option, json_option
+from factory.commands.common.bars import Bars
+from factory.commands.common.output import print_result, print_table
 from factory.dataset.reader import Dataset
+from factory.runs.catalog import open_catalog
 from factory.runs.scene_packages import find_package
+from factory.support.settings import scene_cache
 from factory.verify.dataset import verify
 from schemas.base import Model
+from schemas.terms import Recording
+from tests.benchmarks.command import run
+from tests.benchmarks.synthetic import enlarge, make_synthetic
+from workers.sim.context import SceneRenderer
 
 _SEED = 20
 _CHANGED = 50
@@ -87,7 +102,7 @@ class CheckpointCost(Model):
 
 
 class DatasetBench(Model):
-    """Result of `factory bench dataset`."""
+    """Result of the benchmark."""
 
     bench: str = "dataset"
     machine: Machine
@@ -209,3 +224,65 @@ def _checkpoint(root: Path) -> CheckpointCost:
             )
     finally:
         engine.dispose()
+
+
+@click.command()
+@count_option("--episodes", 20_000, "Number of episodes; each needs 16 kB of disk, ledger and tables included.")
+@count_option("--reads", 2000, "Number of random episodes to read.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="New directory in which the dataset is kept. Default: the dataset is deleted.",
+)
+@json_option
+def command(episodes: int, reads: int, out: Path | None, as_json: bool) -> None:
+    """Measure a large dataset of states.
+
+    Generates a dataset from a few simulated episodes, then measures opening, filtering, random access, verification,
+    status and checkpoints.
+    """
+    sample_plan = shrink(narrow(load_plan(SAMPLE_PLAN), (), 2), record=Recording.STATES)
+    plan = shrink(enlarge(load_plan("paper"), episodes), record=Recording.STATES, episodes=episodes)
+    with temporary_folder() as folder, Bars(refresh_per_second=1) as bar:
+        catalog = open_catalog(sample_plan, folder, scene_cache())
+        with SceneRenderer() as stage:
+            task = bar.add_task("bench sample", total=sample_plan.episodes)
+            samples = make_sample(folder / "sample", sample_plan, catalog, stage, lambda: bar.advance(task))
+        task = bar.add_task("bench dataset", total=episodes)
+        start_s = time.perf_counter()
+        data = folder / "data" if out is None else out
+        make_synthetic(data, plan, catalog, samples, lambda count: bar.advance(task, count))
+        report = bench_dataset(data, reads, time.perf_counter() - start_s)
+    print_result(report, as_json, _show)
+
+
+def _show(report: DatasetBench) -> None:
+    print_machine(report.machine)
+    reader, verification, checkpoint = report.reader, report.verification, report.checkpoint
+    rows = [
+        ("generating, s", report.generate_s, ""),
+        ("opening, s", reader.open_s, _peak(reader.opened)),
+        ("selecting a split and a tier, s", reader.filter_s, ""),
+        ("first episode, s", reader.first_episode_s, ""),
+        ("random episodes/s", reader.episodes_per_s, _peak(reader.memory)),
+        ("random episodes/CPU s", reader.episodes_per_cpu_s, ""),
+        ("digest, s", reader.digest_s, ""),
+        (f"verification, {verification.findings} findings, s", verification.seconds, _peak(verification.memory)),
+        ("status, s", report.ledger.status_s, ""),
+        ("audit at the start of a coordinator, s", report.ledger.audit_s, ""),
+        ("first checkpoint of a process, s", checkpoint.rewrite_s, _peak(checkpoint.memory)),
+        ("checkpoint after 50 changes, s", checkpoint.changed_s, ""),
+        ("checkpoint without changes, s", checkpoint.unchanged_s, ""),
+    ]
+    title = f"{report.episodes} states episodes, {report.files} files, {report.gigabytes:.2f} GB"
+    print_table(title, ("quantity", "value", "memory"), rows)
+
+
+def _peak(memory: Memory) -> str:
+    return f"peak {memory.peak_mib:.0f} MiB"
+
+
+if __name__ == "__main__":
+    run(command)

@@ -1,6 +1,8 @@
 """Benchmarks the web page of a dataset: times of pages and frames, rate of playback, and the cost of open tabs.
 
 The server runs in another process, with the same Python interpreter. CPU times are those of the server.
+
+    python -m tests.benchmarks.serve DIR
 """
 
 from __future__ import annotations
@@ -14,18 +16,25 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
+import click
 import numpy as np
 
 from factory.bench.machine import describe_machine
-from factory.bench.measured_process import measured_process
 from factory.bench.results import Machine, Spread
+from factory.bench.tables import print_machine, range_text
+from factory.cli.common.options import count_option, json_option, number_option, place_argument
+from factory.commands.common.output import print_result, print_table
 from factory.dataset.reader import Dataset
 from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.storage.place import Place
-from schemas.support.child import python_module
+from schemas.support.child import child_environment, python_module
+from schemas.support.extras import require_package
 from schemas.terms import Recording
+from tests.benchmarks.command import run
+from workers.client.stopping import signals_deferred
 
 _SEED = 24
 _TICK_S = 1 / os.sysconf("SC_CLK_TCK")
@@ -113,6 +122,21 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
         tabs_core_share=busy,
         idle_core_share=idle,
     )
+
+
+@contextmanager
+def measured_process(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[Any]]:
+    """Yields a process that gets SIGTERM at the end of the block, even if a signal interrupts its start.
+
+    Args:
+        command: command line.
+        options: options of `subprocess.Popen`.
+    """
+    with ExitStack() as stack:
+        with signals_deferred():
+            process = stack.enter_context(subprocess.Popen(command, env=child_environment(os.environ), **options))
+            stack.callback(process.terminate)
+        yield process
 
 
 @contextmanager
@@ -207,3 +231,41 @@ def _children(pid: int) -> Sequence[int]:
     return [
         int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()
     ]
+
+
+@click.command()
+@place_argument
+@count_option("--repeats", 10, "Number of timed requests of each page.", least=2)
+@count_option("--tabs", 100, "Number of open farm pages.", most=300)
+@number_option("SECONDS", "--seconds", 60.0, "Time for which the tabs are open, seconds.", least=1.0)
+@json_option
+def command(root: Place, repeats: int, tabs: int, seconds: float, as_json: bool) -> None:
+    """Measure the web page of a dataset, or of a run in progress.
+
+    Starts `factory serve` and measures its pages, frames and playback, and its CPU time with and without open tabs.
+    """
+    require_package("starlette", "this benchmark")
+    print_result(bench_serve(root, repeats, tabs, seconds), as_json, _show)
+
+
+def _show(report: ServeBench) -> None:
+    print_machine(report.machine)
+    pages: dict[str, RequestCost] = {"/": report.first_page, **report.table_page, "first frame": report.first_frame}
+    rows = [
+        (
+            path,
+            *(round(value, 1) for value in (cost.first_ms, cost.wall_ms.median)),
+            range_text(cost.wall_ms),
+            cost.cpu_ms,
+        )
+        for path, cost in pages.items()
+    ]
+    columns = ("request", "first, ms", "median, ms", "range", "CPU, ms")
+    print_table(f"Web page of {report.episodes} episodes", columns, rows)
+    click.echo(f"\nplayback: {report.frames_per_s:.1f} frames/s, {report.frame_cpu_ms:.1f} ms of CPU time per frame")
+    share, idle = 100 * report.tabs_core_share, 100 * report.idle_core_share
+    click.echo(f"{report.tabs} open tabs for {report.tabs_s:.0f} s: {share:.2f} % of a core, {idle:.2f} % without tabs")
+
+
+if __name__ == "__main__":
+    run(command)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +17,7 @@ from coordinator.protocol.bundles import BundleFile, Scope, check_each
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
-from factory.bench.machine import cpu_s_of_children, measure_memory, resident_mib
+from factory.bench.machine import measure_memory, resident_mib
 from factory.bench.results import Memory
 from factory.bench.workload import BenchSample
 from factory.support.logs import configure_logs
@@ -58,10 +59,10 @@ class _AcceptAll:
 
     def check(
         self,
-        path: Path,  # noqa: ARG002
+        path: Path,
         job: Job,
-        candidates: tuple[Target, ...] = (),  # noqa: ARG002
-        scope: Scope = Scope.ALL,  # noqa: ARG002
+        candidates: tuple[Target, ...] = (),
+        scope: Scope = Scope.ALL,
     ) -> EpisodeSummary:
         job = self._meta.job.model_copy(update={"index": job.index})
         meta = self._meta.model_copy(update={"job": job, "episode_id": job.episode_id})
@@ -123,7 +124,17 @@ def _serve(pipe: Connection, root: Path, plan: Plan, catalog: Catalog, options: 
             while True:
                 pipe.recv()
                 pipe.send(
-                    CoordinatorUsage(memory=measure_memory(start_mib), cpu_s=time.process_time() + cpu_s_of_children())
+                    CoordinatorUsage(memory=measure_memory(start_mib), cpu_s=time.process_time() + _cpu_s_of_children())
                 )
         except EOFError:
             return
+
+
+def _cpu_s_of_children() -> float:
+    """Returns the CPU time of the running direct children of this process, seconds."""
+    total = 0
+    for listed in Path("/proc/self/task").glob("*/children"):
+        for pid in listed.read_text(encoding="ascii").split():
+            fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+            total += int(fields[11]) + int(fields[12])
+    return total / os.sysconf("SC_CLK_TCK")

@@ -2,6 +2,8 @@
 
 Time is virtual: sessions claim, send heartbeats and announce bundles as workers of a given pace would. Measures the CPU
 time of parsing, ledger and replies. Opens no connection and transfers no bundle.
+
+    python -m tests.benchmarks.sessions --sessions 10000
 """
 
 from __future__ import annotations
@@ -18,20 +20,33 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 
+import click
+
 from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.plan_file import load_plan, shrink
 from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from factory.bench.machine import describe_machine
-from factory.bench.results import SessionsBench, VerbLoad
-from factory.bench.service.coordinator import archiving
+from factory.bench.results import Machine
+from factory.bench.tables import progress_bar
+from factory.bench.workload import SAMPLE_PLAN, make_sample, narrow, temporary_folder
+from factory.cli.common.options import count_option, json_option, number_option
+from factory.commands.common.output import print_result, print_table
+from factory.runs.catalog import open_catalog
+from factory.support.settings import scene_cache
 from schemas.base import Model
+from schemas.bundle import BundleReader
 from schemas.episode import EpisodeMeta
 from schemas.plan import Plan
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Beat, Claim, ClaimReply, Done, Hello, Lease, LeaseProgress
 from schemas.storage.dataset_files import LEDGER_FILE
+from schemas.terms import Recording
+from tests.benchmarks.command import run
+from tests.benchmarks.coordinator import archiving
+from workers.sim.context import SceneRenderer
 
 _START = datetime(2026, 1, 1, tzinfo=UTC)
 _WINDOW_S = 0.02
@@ -43,6 +58,48 @@ _BEATS_PER_LEASE = 4
 _VERSION = "bench"
 _ARCHIVE = "archive"
 """Name that the results use for the ledger's work to record an archived episode, which is not a request."""
+
+
+class VerbLoad(Model):
+    """Requests of one verb."""
+
+    per_s: float
+    """Requests per second of simulated time."""
+    received_bytes: float
+    """Mean size of a request, bytes."""
+    sent_bytes: float
+    """Mean size of a reply, bytes."""
+    cpu_us: float
+    """Mean CPU time of a request for parsing, ledger and reply, without commit and network, microseconds."""
+
+
+class SessionsBench(Model):
+    """Result of the benchmark."""
+
+    bench: str = "sessions"
+    machine: Machine
+    sessions: int
+    """Number of workers, each with one session."""
+    cores: int
+    """Number of simulations of each worker."""
+    episode_s: float
+    """Mean duration of an attempt, seconds."""
+    lease_s: float
+    """Lease time, seconds."""
+    seconds: float
+    """Simulated time, seconds."""
+    verbs: dict[str, VerbLoad]
+    """Verb -> load. The entry `archive` is not a request: it is the ledger's work to record an archived episode."""
+    episodes_per_s: float
+    """Archived episodes per second of simulated time."""
+    commits_per_s: float
+    """Commits of the ledger per second of simulated time; each is one fsync."""
+    commit_us: float
+    """CPU time of a commit, microseconds."""
+    ledger_bytes_per_episode: float
+    """Growth of the ledger per archived episode, bytes."""
+    coordinator_cores: float
+    """CPU time per second of simulated time, without network and bundles."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +201,7 @@ class _Fleet:
 
     def __init__(self, writer: Writer, terms: Terms, meta: EpisodeMeta, load: SessionsLoad) -> None:
         self._writer, self._terms, self._meta, self._load = writer, terms, meta, load
-        self._rng, self._order, self._tokens = random.Random(0), count(), count(1)  # noqa: S311 - pauses of workers
+        self._rng, self._order, self._tokens = random.Random(0), count(), count(1)
         self._events: list[tuple[float, int, Callable[[float], None]]] = []
         self._waiting: list[Callable[[], None]] = []
         self.meter = _Meter()
@@ -242,3 +299,54 @@ class _Fleet:
         self.meter.cpu_s[verb] += spent_s
         self.in_writer_s += spent_s
         return result
+
+
+@click.command()
+@count_option("--sessions", 10_000, "Number of workers, each with one session.", most=10_000)
+@count_option("--cores", 1, "Number of simulations of each worker.", most=256)
+@number_option("SECONDS", "--attempt", 10.0, "Mean duration of an attempt, seconds.", "episode_s", least=0.1)
+@number_option(
+    "SECONDS", "--lease", 15.0, "Lease time, seconds; a worker sends four heartbeats per lease.", "lease_s", least=1.0
+)
+@number_option("SECONDS", "--seconds", 30.0, "Simulated time after the start of all workers, seconds.", least=1.0)
+@json_option
+def command(sessions: int, cores: int, episode_s: float, lease_s: float, seconds: float, as_json: bool) -> None:
+    """Simulate thousands of workers against one coordinator.
+
+    The requests of the workers run through the real handlers and a ledger on disk, in virtual time. Measures the CPU
+    time, the messages and the commits. The benchmarks `coordinator` and `delivery` measure network and bundles.
+    """
+    plan = shrink(narrow(load_plan(SAMPLE_PLAN), ("office",), 2), record=Recording.STATES)
+    with progress_bar("sample", plan.episodes) as tell, temporary_folder() as folder:
+        catalog = open_catalog(plan, folder, scene_cache())
+        with SceneRenderer() as stage:
+            samples = make_sample(folder / "sample", plan, catalog, stage, tell)
+        with samples[0].path.open("rb") as file, BundleReader(file) as bundle:
+            meta = bundle.meta
+        load = SessionsLoad(sessions, cores, episode_s, lease_s, seconds)
+        report = bench_sessions(plan, catalog, meta, folder, load)
+    print_result(report, as_json, _show)
+
+
+def _show(report: SessionsBench) -> None:
+    title = (
+        f"{report.sessions} sessions of {report.cores} cores, an attempt every {report.episode_s:g} s, lease "
+        f"{report.lease_s:g} s, {report.seconds:g} s simulated"
+    )
+    rows = [
+        (verb, *(f"{value:.0f}" for value in (load.per_s, load.received_bytes, load.sent_bytes, load.cpu_us)))
+        for verb, load in report.verbs.items()
+    ]
+    print_table(title, ("request", "per second", "bytes", "bytes of the reply", "CPU us"), rows)
+    totals = [
+        ("archived episodes per second", f"{report.episodes_per_s:.0f}"),
+        ("commits per second, one fsync each", f"{report.commits_per_s:.0f}"),
+        ("CPU time of a commit, us", f"{report.commit_us:.0f}"),
+        ("ledger, bytes per episode", f"{report.ledger_bytes_per_episode:.0f}"),
+        ("cores of the coordinator, without network", f"{report.coordinator_cores:.2f}"),
+    ]
+    print_table("\nin total", ("quantity", "value"), totals)
+
+
+if __name__ == "__main__":
+    run(command)

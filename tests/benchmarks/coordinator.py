@@ -1,6 +1,9 @@
 """Benchmarks the coordinator: leases and submits on a large ledger, reopening it, validating and archiving bundles.
 
-Calls ledger, validator and archive directly, then a complete coordinator over zenoh (`wire`). Runs no simulation.
+Calls ledger, validator and archive directly, then a complete coordinator over zenoh (`wire`). Simulates two episodes,
+whose bundles are its samples.
+
+    python -m tests.benchmarks.coordinator --jobs 1000000
 """
 
 from __future__ import annotations
@@ -13,8 +16,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import click
+
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.plan_file import load_plan
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.database.engine import open_writer
@@ -23,20 +29,57 @@ from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.validation.validator import Validator
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
-from factory.bench.results import CoordinatorBench, Spread
-from factory.bench.service.wire import bench_wire
-from factory.bench.workload import BenchSample
+from factory.bench.results import Machine, Memory, Spread
+from factory.bench.tables import print_machine, progress_bar, range_text, round_digits
+from factory.bench.workload import SAMPLE_PLAN, BenchSample, make_sample, narrow, temporary_folder
+from factory.cli.common.options import count_option, json_option, pullers_option
+from factory.commands.common.output import print_result, print_table
+from factory.runs.catalog import open_catalog
+from factory.support.settings import scene_cache
+from schemas.base import Model
 from schemas.bundle import BundleReader
 from schemas.dataset.rows import summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Plan
 from schemas.protocol.messages import Done, Lease
+from tests.benchmarks.command import run
+from tests.benchmarks.wire import WireBench, bench_wire
+from workers.sim.context import SceneRenderer
 
 _TTL_S = 600.0
 _SID = "bench-1"
 _SHA256 = "c" * 64
 _ROUNDS = 8
 """Number of cycles of each worker in one repetition. A cycle is claim, announcement and archiving of one job."""
+
+
+class CoordinatorBench(Model):
+    """Result of the benchmark."""
+
+    bench: str = "coordinator"
+    machine: Machine
+    jobs: int
+    """Number of jobs in the ledger."""
+    workers: int
+    """Number of concurrent requests."""
+    fill_s: float
+    """Time to expand the plan and write its jobs, seconds."""
+    cycles_per_s: Spread
+    """Cycles of lease, announcement and archive per second of wall time, durable on disk."""
+    reopen_s: Spread
+    """Time to reopen the filled ledger and compare it with the plan, seconds."""
+    progress_s: Spread
+    """Time to read the progress of the filled ledger, seconds."""
+    validate_ms_per_frame: Spread
+    """Wall time to validate real bundles in the validation process, milliseconds per frame."""
+    pullers: int
+    """Number of validating processes that work at the same time."""
+    validated_frames_per_s: Spread
+    """Frames of real bundles per second of wall time, summed over the `pullers` validating processes."""
+    archive_mb_per_s: Spread
+    """Throughput of copy, hash, fsync and rename of real bundles, MB per second of wall time."""
+    memory: Memory
+    wire: WireBench
 
 
 def bench_coordinator(
@@ -179,3 +222,99 @@ def _archive(samples: Sequence[BenchSample], root: Path) -> float:
                 staged.write(data)
                 archive.publish(staged, sample.job.index)
         return sum(map(len, bundles)) / 1e6 / (time.perf_counter() - start_s)
+
+
+@click.command()
+@count_option("--jobs", 100_000, "Number of jobs in the ledger.", least=1000, most=5_000_000)
+@count_option("--workers", 64, "Number of concurrent simulated workers.", most=64)
+@count_option("--sessions", 2000, "Number of concurrent network sessions.", most=4000)
+@count_option("--bundle-mb", 32, "Size of each worker's bundle, MB.", most=256)
+@pullers_option()
+@count_option("--repeats", 3, "Number of timed runs; the result is their median.")
+@json_option
+def command(jobs: int, workers: int, sessions: int, bundle_mb: int, pullers: int, repeats: int, as_json: bool) -> None:
+    """Measure a coordinator with a large ledger.
+
+    Measures leases and submissions of real bundles, by direct calls and over the network. The memory is that of a
+    separate coordinator process with all sessions connected, and while all workers send a bundle at the same time.
+    """
+    sample_plan = narrow(load_plan(SAMPLE_PLAN), ("office",), 2)
+    part = sample_plan.scenes[0].model_copy(update={"episodes": jobs})
+    plan = load_plan("paper").model_copy(update={"scenes": (part,)})
+    with progress_bar("coordinator", 2) as tell, temporary_folder() as folder:
+        catalog = open_catalog(sample_plan, folder, scene_cache())
+        with SceneRenderer() as stage:
+            samples = make_sample(folder / "sample", sample_plan, catalog, stage, tell)
+        report = bench_coordinator(
+            plan,
+            catalog,
+            samples,
+            folder,
+            workers=workers,
+            sessions=sessions,
+            bundle_bytes=bundle_mb * 1_000_000,
+            repeats=repeats,
+            pullers=pullers,
+        )
+    print_result(report, as_json, _show)
+
+
+def _show(report: CoordinatorBench) -> None:
+    print_machine(report.machine)
+    rows = [
+        ("lease + announce + archive, cycles/s", report.cycles_per_s.median, range_text(report.cycles_per_s)),
+        ("reopening the ledger, s", report.reopen_s.median, range_text(report.reopen_s)),
+        ("reading the progress, s", report.progress_s.median, range_text(report.progress_s)),
+        ("validation, ms per frame", report.validate_ms_per_frame.median, range_text(report.validate_ms_per_frame)),
+        (
+            f"validation by {report.pullers} pullers, frames/s",
+            report.validated_frames_per_s.median,
+            range_text(report.validated_frames_per_s),
+        ),
+        ("archiving, MB/s", report.archive_mb_per_s.median, range_text(report.archive_mb_per_s)),
+        ("filling the ledger, s", report.fill_s, ""),
+        ("resident memory at the end, MiB", report.memory.end_mib, f"peak {report.memory.peak_mib:.0f}"),
+    ]
+    title = f"{report.jobs} jobs, {report.workers} requests in flight"
+    print_table(title, ("quantity", "median", "range"), rows)
+    wire, sessions, deliveries = report.wire, report.wire.session_load, report.wire.delivery_load
+    rows = [
+        ("claim + announcement over zenoh, cycles/s", wire.cycles_per_s.median, range_text(wire.cycles_per_s)),
+        (
+            "small bundles archived during these cycles, 1/s",
+            wire.archived_per_s.median,
+            range_text(wire.archived_per_s),
+        ),
+        (
+            "CPU time of the coordinator, ms per cycle",
+            round_digits(wire.coordinator_cpu_ms.median),
+            f"on a dedicated core: {1000 / wire.coordinator_cpu_ms.median:.0f} cycles/s",
+        ),
+        (
+            "CPU time of the workers, ms per cycle",
+            round_digits(wire.workers_cpu_ms.median),
+            range_text(wire.workers_cpu_ms),
+        ),
+        ("start-up until it listens, s", wire.start_s.median, range_text(wire.start_s)),
+        (
+            f"memory with {sessions.sessions} sessions, MiB",
+            sessions.memory.end_mib,
+            f"peak {sessions.memory.peak_mib:.0f}",
+        ),
+        (
+            f"{deliveries.workers} workers send {deliveries.bundle_mb:.0f} MB each, MB/s",
+            deliveries.mb_per_s,
+            f"{deliveries.seconds:.1f} s in total",
+        ),
+        ("peak memory during these deliveries, MiB", deliveries.memory.peak_mib, ""),
+        (
+            "claim of another worker during these deliveries, p99 ms",
+            deliveries.claim_p99_ms,
+            f"p50 {deliveries.claim_p50_ms:.1f}, n {deliveries.claims}",
+        ),
+    ]
+    print_table("the same coordinator in a separate process", ("quantity", "value", "details"), rows)
+
+
+if __name__ == "__main__":
+    run(command)

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import zenoh
 
-from factory.bench.service.fleet import BenchWorker
 from schemas.bundle import BundleReader, EpisodeArrays, member_names, seal
 from schemas.encoding.container import ContainerWriter
 from schemas.episode import EpisodeMeta
@@ -24,6 +23,7 @@ from schemas.errors import TransientError
 from schemas.job import Job
 from schemas.protocol.keys import RANGE_FIELDS, Chunk, Verb, bundle_key, parse_bundle_ranges
 from schemas.protocol.messages import Beat, BeatReply, ClaimReply, Done, Lease
+from tests.benchmarks.fleet import BenchWorker
 
 _META = "meta.json"
 _BEAT_S, _HURRIED_S = 2.0, 0.5

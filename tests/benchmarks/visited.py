@@ -3,11 +3,14 @@
 Periods without visitors, with viewers and with attackers alternate. The run is `factory run --http` in another
 process, with its coordinator and its workers. CPU times are those of the run. The visitors use the same CPU cores,
 which lowers the episode rate but does not raise the CPU time per episode.
+
+    python -m tests.benchmarks.visited demo --seconds 60
 """
 
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import tempfile
 import time
@@ -16,11 +19,12 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import click
+
 from factory.bench.machine import describe_machine
-from factory.bench.measured_process import measured_process
-from factory.bench.reading.serve import ask_page, cpu_s_of, open_tab
 from factory.bench.results import Machine, Spread
-from factory.bench.service.attack import flood, slow_clients
+from factory.cli.common.options import count_option, json_option, number_option, plan_argument, workers_option
+from factory.commands.common.output import print_result, print_table
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site, site_of
 from factory.runs.ledger import progress_in, read_ledger
@@ -29,6 +33,10 @@ from schemas.errors import WorldError
 from schemas.plan import MAX_EPISODES
 from schemas.storage.dataset_files import META_FILE
 from schemas.support.child import python_module
+from schemas.support.extras import require_package
+from tests.benchmarks.attack import flood, slow_clients
+from tests.benchmarks.command import run
+from tests.benchmarks.serve import ask_page, cpu_s_of, measured_process, open_tab
 
 _EPISODES_PER_S = 20
 """Planned episodes per worker and second; a worker completes fewer, so the run does not end too early."""
@@ -176,3 +184,50 @@ def _attack(host: str, requests: int, seconds: float) -> None:
     with slow_clients(host, _SLOW_CLIENTS):
         flood(host, requests, seconds)
         time.sleep(max(0.0, begin_s + seconds - time.monotonic()))
+
+
+@click.command()
+@plan_argument(default="demo")
+@workers_option("Number of simulation processes")
+@number_option("SECONDS", "--seconds", 60.0, "Duration of each period, seconds.", least=1.0)
+@count_option("--rounds", 5, "Number of periods of each kind.")
+@count_option("--viewers", 5, "Number of viewers.", most=100)
+@count_option("--requests", 10_000, "Number of hostile requests of a period with attackers.")
+@json_option
+def command(
+    plan_name: str, workers: int | None, seconds: float, rounds: int, viewers: int, requests: int, as_json: bool
+) -> None:
+    """Measure what visitors of the web page cost a run.
+
+    Starts a run of PLAN with `--record states` and its web page, in a temporary directory. Periods without visitors,
+    with viewers and with attackers alternate. Attackers send hostile requests and keep slow connections open.
+    """
+    require_package("starlette", "this benchmark")
+    report = bench_visited(plan_name, workers or os.cpu_count() or 1, seconds, rounds, viewers, requests)
+    print_result(report, as_json, _show)
+
+
+def _show(report: VisitedBench) -> None:
+    rows = [
+        (
+            kind,
+            _spread(cost.episodes_per_s),
+            _spread(cost.coordinator_share, 100),
+            _spread(cost.cpu_s_per_episode),
+        )
+        for kind, cost in report.costs.items()
+    ]
+    title = (
+        f"Run of {report.plan}, {report.rounds} periods of {report.seconds:g} s each: {report.viewers} viewers, or "
+        f"{report.requests} hostile requests"
+    )
+    print_table(title, ("visitors", "episodes/s", "coordinator, % of a core", "CPU s per episode"), rows)
+
+
+def _spread(value: Spread, factor: float = 1.0) -> str:
+    median, low, high = (factor * part for part in (value.median, value.low, value.high))
+    return f"{median:.3g} ({low:.3g} to {high:.3g})"
+
+
+if __name__ == "__main__":
+    run(command)

@@ -79,6 +79,13 @@ class _Made(NamedTuple):
     """Row of the episode in the metadata table."""
 
 
+def enlarge(plan: Plan, episodes: int) -> Plan:
+    """Returns the plan with at least `episodes` episodes, in the same proportions."""
+    times = -(-episodes // plan.episodes)
+    scenes = (scene.model_copy(update={"episodes": scene.episodes * times}) for scene in plan.scenes)
+    return plan.model_copy(update={"scenes": tuple(scenes)})
+
+
 def make_synthetic(
     root: Path, plan: Plan, catalog: Catalog, samples: Sequence[BenchSample], tell: Callable[[int], None]
 ) -> None:

@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from factory.bench.service.attack import flood, read_to_the_end
+from tests.benchmarks.attack import flood, read_to_the_end
 
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 

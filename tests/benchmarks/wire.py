@@ -16,9 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coordinator.expansion.catalog import Catalog
-from factory.bench.results import DeliveryLoad, SessionLoad, Spread, WireBench
-from factory.bench.service.coordinator_process import CoordinatorReady, CoordinatorUsage, serve_coordinator
-from factory.bench.service.fleet import (
+from factory.bench.results import Memory, Spread
+from schemas.base import Model
+from schemas.episode import EpisodeMeta
+from schemas.errors import WorldError
+from schemas.plan import Plan
+from tests.benchmarks.coordinator_process import CoordinatorReady, CoordinatorUsage, serve_coordinator
+from tests.benchmarks.fleet import (
     WorkCost,
     bundle_of,
     claim_and_announce,
@@ -26,9 +30,6 @@ from factory.bench.service.fleet import (
     deliver_together,
     stay_connected,
 )
-from schemas.episode import EpisodeMeta
-from schemas.errors import WorldError
-from schemas.plan import Plan
 
 _CYCLES = 5000
 """Largest number of cycles in one run, summed over all workers. A small ledger allows fewer cycles, because each cycle
@@ -39,6 +40,48 @@ _WORKERS_PER_PROCESS = 500
 _CLAIM_PAUSE_S = 0.02
 _TIMEOUT_S = 600.0
 _SPAWN = multiprocessing.get_context("spawn")
+
+
+class SessionLoad(Model):
+    """Result of many simultaneous worker sessions."""
+
+    sessions: int
+    memory: Memory
+    """Memory of the coordinator with all sessions."""
+
+
+class DeliveryLoad(Model):
+    """Result of simultaneous deliveries: all workers finish a large bundle, while another worker claims jobs."""
+
+    workers: int
+    bundle_mb: float
+    """Size of each bundle, MB (1e6 bytes)."""
+    seconds: float
+    """Wall time until the last bundle was archived and deleted, seconds."""
+    mb_per_s: float
+    claims: int
+    """Number of claims that the other worker sent during the deliveries."""
+    claim_p50_ms: float
+    claim_p99_ms: float
+    memory: Memory
+    """Memory of the coordinator."""
+
+
+class WireBench(Model):
+    """Result for a complete coordinator in a separate process, with worker processes over zenoh on loopback."""
+
+    cycles_per_s: Spread
+    """Cycles of claim and announcement per second of wall time. The coordinator replies when a change is durable."""
+    archived_per_s: Spread
+    """Small bundles that the coordinator pulls and archives per second while the workers claim and announce."""
+    coordinator_cpu_ms: Spread
+    """CPU time of the coordinator process per cycle, including the concurrent pulling, milliseconds."""
+    workers_cpu_ms: Spread
+    """CPU time of the worker process per cycle, milliseconds. The process shares the cores with the coordinator."""
+    start_s: Spread
+    """Time from the start of the coordinator with a filled ledger until it listens, seconds."""
+    session_load: SessionLoad
+    delivery_load: DeliveryLoad
 
 
 def bench_wire(

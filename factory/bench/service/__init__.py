@@ -1,1 +1,0 @@
-"""Benchmarks of the coordinator: ledger, protocol, validation and archive, with simulated workers."""

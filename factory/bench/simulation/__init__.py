@@ -1,1 +1,0 @@
-"""Benchmarks of workers and of whole runs: rollout, rendering, memory, and plain PyBullet for comparison."""
