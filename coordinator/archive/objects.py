@@ -21,7 +21,7 @@ import structlog
 
 from coordinator.archive.packing import PackingArchive, in_threads
 from coordinator.archive.scenes import SceneStore
-from coordinator.archive.staging import Staged, Staging
+from coordinator.archive.staging import PartFile, Staging
 from schemas.dataset.rows import file_name_of
 from schemas.errors import ArchiveCorrupt, FactoryError, WorldError
 from schemas.job import episode_id, index_of_file
@@ -75,11 +75,11 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             self.close()
             raise
 
-    def stage(self, index: int) -> Staged:
+    def stage(self, index: int) -> PartFile:
         """See `Archive.stage`."""
         return self._staging.stage(index)
 
-    def publish(self, staged: Staged, index: int) -> ObjectPath:
+    def publish(self, staged: PartFile, index: int) -> ObjectPath:
         """Uploads a part file to its final key in one conditional put. The ledger commits afterwards.
 
         If the response to a put was lost, the retry finds its own object: an object with the same bytes counts as
@@ -103,12 +103,12 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
                 raise ArchiveCorrupt(f"{final} has {found} bytes, but {staged.size} were sent: run `factory repair`")
         return final
 
-    def publish_all(self, parts: Mapping[int, Staged]) -> dict[int, FactoryError]:
+    def publish_all(self, parts: Mapping[int, PartFile]) -> dict[int, FactoryError]:
         """See `Archive.publish_all`. Some objects are put at the same time."""
         errors = in_threads(lambda part: self._error_of(*part), parts.items())
         return {index: error for index, error in zip(parts, errors, strict=True) if error is not None}
 
-    def _error_of(self, index: int, staged: Staged) -> FactoryError | None:
+    def _error_of(self, index: int, staged: PartFile) -> FactoryError | None:
         try:
             self.publish(staged, index)
         except FactoryError as error:

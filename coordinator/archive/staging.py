@@ -27,7 +27,7 @@ _ASKED_S = 0.001
 """Pause between two attempts to take the lock, seconds."""
 
 
-class Staged(Closing):
+class PartFile(Closing):
     """Part file that is hashed while it is written; `Archive.publish` turns it into an episode."""
 
     def __init__(self, path: Path, file: FileIO) -> None:
@@ -142,7 +142,7 @@ class Staging:
             self.close()
             raise
 
-    def stage(self, index: int) -> Staged:
+    def stage(self, index: int) -> PartFile:
         """Opens a new part file for an episode. An episode may have several open part files.
 
         Raises:
@@ -150,7 +150,7 @@ class Staging:
         """
         path = self.part(episode_id(index))
         try:
-            return Staged(path, path.open("xb", buffering=0))
+            return PartFile(path, path.open("xb", buffering=0))
         except OSError as error:
             raise world_error("write", path.parent, error) from error
 

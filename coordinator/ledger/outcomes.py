@@ -197,7 +197,7 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
     return True
 
 
-def is_owned(connection: Connection, index: int) -> bool:
+def is_recorded(connection: Connection, index: int) -> bool:
     """Returns whether the ledger records the episode in the coordinator's directory; its file must then be kept."""
     return _STORED_BY_COORDINATOR.first(connection, {"index": index}) is not None
 
