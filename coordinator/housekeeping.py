@@ -222,5 +222,6 @@ class Housekeeping:
 
 
 def _admit(admit: Callable[[], bool]) -> None:
+    # reads the list of hosts again during the run, because a restart of the coordinator would interrupt all workers
     if admit():
         log.warning("admission_changed", remedy="none; workers reconnect within seconds")

@@ -31,6 +31,7 @@ class LightFile(Model):
 class ViewSettings(Model):
     """Rendering settings that a plan, or the rendering command, selects."""
 
+    # one object for all settings, so a new one adds no field to jobs, tasks, manifests and results
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
     """Sensors whose measurements are stored in addition to the recorded camera; null for none."""
 

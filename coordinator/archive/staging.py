@@ -103,6 +103,7 @@ class PartFile(Closing):
         except OSError as error:
             self.abandon()
             raise world_error("write", self.path.parent, error) from error
+        # a copy into page cache that was not used recently is several times slower
         if self.size > MAX_PACKED_BYTES and not self.is_linked:
             with contextlib.suppress(OSError):  # a file system may refuse the advice; the bytes are on the disk
                 os.posix_fadvise(self._file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)

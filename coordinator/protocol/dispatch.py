@@ -47,6 +47,8 @@ class Dispatch:
     def offer(self, bundle: IncomingBundle) -> None:
         """Assigns a bundle to a gateway or to the coordinator, and withdraws an earlier assignment."""
         index = bundle.job.index
+        # the gateway whose router the worker names: zenoh's target BEST_MATCHING distributes queries unevenly, and
+        # gateways that claim bundles in the ledger would need timers that detect lost gateways
         with self._guard:
             gateway = self._gateways.get(bundle.via or "")
             for orders in self._orders.values():

@@ -76,6 +76,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
         recorded = recorded_files(connection, digests=False)
     difference = diff_archive({index: ListedFile(path.stat().st_size) for index, path in present.items()}, recorded)
     unsure = {index: present[index] for index in difference.strays}
+    # if no validator can be started, the start ends: quarantine would discard intact episodes when memory is short
     verdicts = _validate_all(archive, engine, terms, checker, unsure, difference)
     _require_own_plan(archive, terms, verdicts, len(recorded))
     result.quarantined += [archive.quarantine(path, "its name is not that of an episode") for path in archive.foreign()]

@@ -18,6 +18,7 @@ def _never(_turn: Sequence[Any], _item: object) -> bool:
     return False
 
 
+# more threads cannot replace turns, because slow hosts can occupy any number of threads
 class FairQueue(Generic[T]):
     """Thread-safe fair queue.
 

@@ -28,7 +28,8 @@ _TURN_S = 0.25
 _FAILURES = 5
 """Number of failed transfers after which a bundle may be refused."""
 _SMALL_BYTES = 64 << 10
-"""Largest size of a bundle that is fetched together with others, bytes."""
+"""Largest size of a bundle that is fetched together with others, bytes. For small bundles, requests, commits and syncs
+take most of the time, not the bytes."""
 _TOGETHER = 32
 """Largest number of bundles that are fetched, validated and recorded together."""
 assert _TOGETHER <= MAX_RANGES
@@ -176,6 +177,7 @@ class Fetcher:
 
     def _link_local_bundle(self, bundle: IncomingBundle) -> None:
         """Makes the part file a hard link to the bundle, if possible, so the bundle need not be transferred."""
+        # finds bundles in the spool of this run only: a path that comes over the network is not trusted
         try:
             source = self._find_local_bundle(bundle.lease)
             if source is not None and source.stat().st_size == bundle.size:

@@ -44,6 +44,8 @@ Colour = Annotated[str, AfterValidator(_is_colour)]
 class CategoryRule(Model):
     """Rule that assigns a category to prims by name, size, shape and colour."""
 
+    # names alone mislead: a plank with the name `Board_01` became a whiteboard
+
     category: Name
     """Category that the rule assigns; several rules may assign the same category."""
     words: tuple[Pattern, ...] = ()

@@ -93,6 +93,7 @@ class PackedPath:
         return False
 
     def _is_mine(self, data: bytes) -> bool:
+        # a coordinator that is killed before it writes the index, or a restored backup, leaves an outdated index
         header = read_local_header(data)
         return header is not None and (header.name, header.size) == (self.name, self.size)
 

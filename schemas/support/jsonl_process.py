@@ -37,6 +37,7 @@ def describe_exit(status: int) -> str:
     return f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
 
 
+# lines of JSON instead of multiprocessing's queues, because unpickling a message can execute code
 class JsonlProcess(Generic[M]):
     """Child process, from its start to its end.
 

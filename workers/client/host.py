@@ -23,6 +23,8 @@ from workers.client.spool import Spool
 _MAX_HOST = 48
 _ASK_S, _HURRIED_ASK_S = 2.0, 0.8
 _BEATS_PER_LEASE = 4
+"""Heartbeats per lease time. With the jitter of 20 %, three heartbeats are due within 90 % of a lease time, so a lease
+outlasts two heartbeats that are lost."""
 
 
 class Phase:

@@ -131,6 +131,7 @@ class GlRenderer(Closing):
         Raises:
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
         """
+        # each call has a size, because a second renderer for small images would upload every scene again
         scene, image = self._loaded(), self._image(size)
         view = _look(scene, image, optical_pose(pose, self._camera))
         with self._context:

@@ -141,6 +141,7 @@ class GpuScene:
 
     def parts_before(self, drawn: DrawOrder, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:
         """Returns the drawn parts that may be visible between these edges up to a depth in metres, in drawing order."""
+        # the order of the whole image is kept, because it decides which of two surfaces of equal depth is visible
         return drawn.parts[may_reach(self._bounds.facts[:, drawn.parts], optical, edges, depth_m)]
 
     def parts_within(self, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:

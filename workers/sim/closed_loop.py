@@ -88,6 +88,7 @@ class Termination:
         return moved_m * self._task.control_hz < self._task.stationary_speed_mps
 
 
+# collection and evaluation share this loop: two loops would be known to be equal only in the cases that a test compares
 class ClosedLoop:
     """Closed loop of one episode: the caller calls `decide` with an action, then `advance`, until `decide` ends it.
 
@@ -188,6 +189,8 @@ class ClosedLoop:
 
 class _RendererHandle:
     """Releasable reference to the renderer. Observations hold it instead of the loop, so old frames are freed."""
+
+    # otherwise only the cyclic garbage collector would free them, and a call of it takes 50 ms
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer: Renderer | None = renderer

@@ -275,6 +275,7 @@ def _is_far(job: Job, target: Target, place: LoadedScene, xy: NDArray[np.float64
 
 
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
+    # experts that drive straight cannot pass corners, so many attempts with a blocked line would fail
     ends = Goal.of(target, job.task).approach(starts, ARRIVAL_RADIUS_M)
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 

@@ -115,7 +115,7 @@ class _Driver:
         loaded = self._stage.load(order.package, sha256, light)
         result = run_episode(order.task, policy, self._simulator, loaded, self._status)
         if result.end is EvalEnd.POLICY_LOST:
-            # the server may have restarted: repeat the episode once
+            # the server may have restarted: repeat the episode once, so the result does not describe the network
             self._status.is_warm = False
             self._status.begin(Activity.SIMULATING)
             result = run_episode(order.task, policy, self._simulator, loaded, self._status)

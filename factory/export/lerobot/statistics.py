@@ -20,6 +20,7 @@ Stats = dict[str, Any]
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _BINS = 4096
 _FEWEST, _MOST, _POWER = 100, 10_000, 0.75
+"""Parameters of the sample, as in LeRobot (`estimate_num_samples` in lerobot/datasets/compute_stats.py)."""
 
 
 def sampled_frames(frames: int) -> frozenset[int]:

@@ -62,6 +62,7 @@ def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -
     """Returns the enabled targets with the ids of the list."""
     if chosen is None:
         return targets
+    # the list is complete, not a list of changes: a target whose line the user deleted is removed
     names = {entry.prim_path: entry.id for entry in chosen.targets if entry.enabled}
     return tuple(
         target.model_copy(update={"target_id": names[target.prim_path]})
