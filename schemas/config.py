@@ -44,7 +44,10 @@ class TaskConfig(Model):
 
 
 class DemonstrationConfig(Model):
-    """Requirements on a demonstration; an attempt that misses one has failed and is repeated from another start."""
+    """Requirements on a demonstration; an attempt that misses one has failed and is repeated from another start.
+
+    Design: docs/design/task.md#demonstrations-have-separate-requirements.
+    """
 
     max_contact_steps: Annotated[int, Field(ge=0, le=1000)] | None = None
     """Largest number of steps in which the robot touches anything but the floor; null: no limit, only

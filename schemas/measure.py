@@ -35,6 +35,7 @@ STOPPED_RPS = 0.05
 def hold_steps_of(spec: EpisodeSpec, task: TaskConfig) -> int:
     """Returns the number of stationary steps that make a success. With a false premise, it is at least the number of
     steps in one second, because a robot that is about to drive is stationary for a few steps, too."""
+    # Design: docs/design/language.md#success-of-a-false-premise.
     return max(task.hold_steps, task.control_hz) if spec.is_false_premise else task.hold_steps
 
 

@@ -20,7 +20,10 @@ class Tier(StrEnum):
 
 
 class SuccessMeasure(StrEnum):
-    """Measure of the distance from base_link to the target, for the tier of a start and the success of an episode."""
+    """Measure of the distance from base_link to the target, for the tier of a start and the success of an episode.
+
+    Design: docs/design/task.md#success-is-measured-to-the-footprint.
+    """
 
     CENTROID = "centroid"  # planar distance to the target's centroid, as in the paper
     SURFACE = "surface"  # planar distance to the target's footprint, as in ObjectNav (docs/design/task.md#distances)
@@ -79,7 +82,10 @@ class ExpertName(StrEnum):
 
 
 class Recording(StrEnum):
-    """Content that an episode stores (docs/dataset.md#recordings)."""
+    """Content that an episode stores (docs/dataset.md#recordings).
+
+    Design: docs/design/data.md#recordings-of-states.
+    """
 
     FRAMES = "frames"  # actions, poses and every frame
     STATES = "states"  # actions, poses and the digests of a few frames; frames are rendered when they are read
@@ -87,6 +93,8 @@ class Recording(StrEnum):
 
 class Screening(StrEnum):
     """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""
+
+    # Design: docs/design/starts.md#blind-starts-of-paper.
 
     NONE = "none"  # any free pose of the tier, as published: drives may fail
     SIGHT = "sight"  # as `none`, but near and mid starts have a line of sight to the target

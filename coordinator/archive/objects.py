@@ -4,6 +4,8 @@ Part files and the lock file are stored in a local directory, the state director
 state directory whose coordinator may write. The lock object is created once and does not expire, so a coordinator
 that was suspended for a while keeps the dataset. The module does not overwrite an episode and does not read bundle
 contents.
+
+Design: docs/design/protocol.md#the-lock-of-a-bucket-does-not-expire.
 """
 
 from __future__ import annotations

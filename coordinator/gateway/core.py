@@ -2,6 +2,8 @@
 
 Detects a core that does not reply and reopens the router. `gateway.json` records the run and the gateway that own a
 directory, so no gateway uses the episodes of another. Does not interpret requests.
+
+Design: docs/design/protocol.md#a-gateway-has-no-ledger.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 draw is the position of the seed in the sequence of seeds of the layout.
 
 The module records no outcome; `outcomes` inserts the episodes of a layout when its package is recorded.
+
+Design: docs/design/jobs.md#builds-are-jobs-of-the-ledger.
 """
 
 from __future__ import annotations

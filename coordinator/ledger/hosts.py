@@ -3,6 +3,8 @@
 A host with a strike gets one job at a time; each episode that it delivers halves its strikes. A failure is attributed
 to the job only if the job failed on `budget.crashes` hosts, on all available hosts (at least two), or for a long time
 on the only host. Until then it is attributed to the host.
+
+Design: docs/design/jobs.md#failures-count-against-the-host-first.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ An unusable ledger is quarantined first, so a new ledger is created and rebuilt 
 
 The reconciliation runs before any other writer. If the ledger was lost or restored from an older copy, every intact
 episode of the plan is adopted. The module does not delete files that could be episodes.
+
+Design: docs/design/data.md#a-lost-ledger-is-rebuilt.
 """
 
 from __future__ import annotations

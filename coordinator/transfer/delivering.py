@@ -2,6 +2,8 @@
 
 A bundle that its worker has validated is validated without its frames, except in a spot check. A worker cannot predict
 which of its bundles are checked: the draw depends on a secret of this process and on the announced digest.
+
+Design: docs/design/protocol.md#spot-checks.
 """
 
 from __future__ import annotations

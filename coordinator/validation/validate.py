@@ -22,7 +22,7 @@ from schemas.terms import Recording
 
 _STRIDE = 8
 """With `Scope.SAMPLE`, one in this many frames and measurements is decoded
-(docs/decisions/0151-decode-one-frame-in-eight-of-the-bundles-of-a-run-on-one-machine.md)."""
+(docs/design/protocol.md#sampled-validation-on-one-machine)."""
 
 
 def validate(

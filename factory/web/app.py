@@ -1,4 +1,7 @@
-"""Builds the web application: routes of all pages, static files, answers to errors, and the access rules."""
+"""Builds the web application: routes of all pages, static files, answers to errors, and the access rules.
+
+Design: docs/design/program.md#pages-are-rendered-on-the-server.
+"""
 
 from __future__ import annotations
 

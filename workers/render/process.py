@@ -3,6 +3,8 @@
 Mesa loads its driver, and with it LLVM, with RTLD_GLOBAL. A library with another LLVM that is loaded into the same
 process later, such as triton, is bound to Mesa's LLVM and crashes. The driver's threads do not survive a fork either.
 A process that has not loaded the driver has neither problem. This module loads no graphics library.
+
+Design: docs/design/rendering.md#rendering-in-another-process.
 """
 
 from __future__ import annotations

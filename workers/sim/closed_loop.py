@@ -168,6 +168,7 @@ class ClosedLoop:
         With a false premise the goal is to stop at the start, so this is the distance to the start. It is infinite
         while the robot turns, because a turning robot has not stopped.
         """
+        # Design: docs/design/language.md#success-of-a-false-premise.
         if not self._job.is_false_premise:
             return view.distance_m
         return math.inf if abs(self.command.w_rps) > STOPPED_RPS else math.dist(self._poses[0][:2], self._poses[-1][:2])

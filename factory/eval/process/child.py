@@ -2,6 +2,8 @@
 stdout.
 
 The process exits when its parent exits. A policy that hangs or crashes affects this process only. Writes no results.
+
+Design: docs/design/evaluation.md#policy-and-simulation-share-a-process.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Runs a campaign on many machines: its tasks are the jobs of a run with ledger, leases and workers.
 
 Every result is archived once, then stored once. An interrupted campaign can be resumed. Runs no episodes.
+
+Design: docs/design/evaluation.md#a-distributed-evaluation-is-a-separate-run.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Bakes the light map of a scene: ambient occlusion, lamps with soft shadows, contact shadows. Deterministic.
 
 A coarse pass finds hidden and dark charts, so the fine pass uses fewer texels for them.
+
+Design: docs/design/rendering.md#light-is-baked-into-textures.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Independent of the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
 definitions in docs/language.md. It shares the thresholds, the graph and the words with the generator.
+
+Design: docs/design/language.md#sentences-are-verified-by-parsing.
 """
 
 from __future__ import annotations
