@@ -168,7 +168,6 @@ class Housekeeping:
         }
 
     def check_free_space(self) -> None:
-        """Checks the free space."""
         self._room.look(self._run.archive)
 
     def note_sandbox(self) -> None:

@@ -100,7 +100,6 @@ class Goal:
         return math.hypot(self.centre_m[0] - x, self.centre_m[1] - y)
 
     def is_disjoint(self, other: Goal) -> bool:
-        """Returns whether no point is in both goals."""
         if self.footprint_m and other.footprint_m:
             gap = min(self._least_gap(other.footprint_m), other._least_gap(self.footprint_m))
         else:

@@ -42,6 +42,5 @@ class ViewSettings(Model):
     """Light groups of the job's scene; null if the light is not varied."""
 
     def describe(self) -> str:
-        """Returns a short description of the settings."""
         shown = "the recorded camera" if self.rig is None else f"rig {self.rig.name} ({self.rig.digest[:12]})"
         return shown if self.appearance is None else f"{shown}, appearance {self.appearance.name}"

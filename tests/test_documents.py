@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shlex
@@ -28,6 +29,11 @@ OTHERS = re.compile(r"\b(DESIGN|STYLE) \d|\b(DESIGN|STYLE)\.md|\bnotes/|\bnotes 
 PATH = re.compile(rf"(?<![\w./:\-])((?:{'|'.join(PACKAGES)}|tests|docs|deploy)/[\w./\-]+)(#[\w\-]+)?")
 MADE = {"tests/data", "factory/run"}
 """Texts in the documents that look like paths but are not paths."""
+FACES = ("minivla", "factory.dataset", "factory.gym", "schemas.bundle")
+"""Packages and modules that users import. With the API reference, their public names need docstrings; elsewhere, a
+function has one only if it says more than the signature."""
+WHOLE = [ROOT / name.replace(".", "/") for name in FACES]
+"""Packages of which every module is documented; of other packages, the API reference shows `__init__` only."""
 
 
 def shown(path: Path) -> str:
@@ -124,6 +130,34 @@ def test_the_api_reference_names_modules_that_exist() -> None:
     files = [ROOT / name.replace(".", "/") for name in named]
     assert "minivla" in named
     assert [str(file) for file in files if not (file.is_dir() or file.with_suffix(".py").exists())] == []
+
+
+def faces() -> list[Path]:
+    """Modules that users of the library import, and the modules of the API reference."""
+    text = (ROOT / "docs" / "site" / "hook.py").read_text(encoding="utf-8")
+    reference = re.findall(rf'"((?:{"|".join(PACKAGES)})(?:\.[a-z_]+)*)"', text)
+    places = [ROOT / name.replace(".", "/") for name in (*FACES, *reference)]
+    files = {module_of(place) for place in places}
+    return sorted(files.union(*(place.rglob("*.py") for place in WHOLE)))
+
+
+def module_of(place: Path) -> Path:
+    return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+
+
+@pytest.mark.parametrize("file", faces(), ids=shown)
+def test_every_public_name_of_the_public_modules_is_documented(file: Path) -> None:
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+    silent = [
+        node.name
+        for body in (tree.body, *(each.body for each in classes))
+        for node in body
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and not node.name.startswith("_")
+        and ast.get_docstring(node) is None
+    ]
+    assert silent == []
 
 
 def test_the_index_of_documents_reaches_every_document() -> None:

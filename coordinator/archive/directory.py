@@ -61,7 +61,6 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
             raise
 
     def stage(self, index: int) -> PartFile:
-        """See `Archive.stage`."""
         return self._staging.stage(index)
 
     def publish(self, staged: PartFile, index: int) -> Path:
@@ -135,7 +134,6 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
         return set_copy_aside(path.read_bytes(checked=False), str(path), self.root / QUARANTINE, reason)
 
     def restore(self, path: Place, index: int) -> Path:
-        """See `Archive.restore`."""
         assert isinstance(path, Path), path
         final = self._file_of(index)
         with self._publishing, translated("move into", final.parent):
@@ -147,7 +145,6 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
         return final
 
     def free_bytes(self) -> int:
-        """See `Archive.free_bytes`."""
         return self._staging.free_bytes()
 
     def _keep(self, source: Path, place: Place) -> None:

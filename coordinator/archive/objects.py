@@ -78,7 +78,6 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             raise
 
     def stage(self, index: int) -> PartFile:
-        """See `Archive.stage`."""
         return self._staging.stage(index)
 
     def publish(self, staged: PartFile, index: int) -> ObjectPath:
@@ -164,7 +163,6 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return place
 
     def restore(self, path: Place, index: int) -> ObjectPath:
-        """See `Archive.restore`."""
         assert isinstance(path, ObjectPath), path
         final = self._file_of(index)
         self._require_free(index)
@@ -188,7 +186,6 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
 
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
-        """See `Archive.replacing`."""
         part = self._staging.part(name.rpartition("/")[2])
         try:
             with translated("write", part):

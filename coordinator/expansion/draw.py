@@ -183,7 +183,6 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
 
 
 def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> Job:
-    """Returns the job of one attempt at a planned draw."""
     entry = catalog[planned.episode.scene]
     return Job(
         **dict(planned.episode),

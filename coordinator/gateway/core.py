@@ -129,12 +129,10 @@ class RemoteLedgerClient:
         self._stop = stop
 
     def keep(self, bundles: Sequence[IncomingBundle], seconds: float) -> Sequence[bool]:
-        """See `LedgerClient`."""
         requests = (ExtendLease(lease=bundle.lease, seconds=seconds) for bundle in bundles)
         return [self._core.ask(Verb.HOLD, request, Ack).accepted for request in requests]
 
     def is_recorded(self, index: int) -> bool:
-        """See `LedgerClient`."""
         size = self._archive.path_of(index).stat().st_size
         request = Inventory(first=index, last=index, files=((index, size),))
         strays = self._core.ask(Verb.INVENTORY, request, InventoryReply).strays
@@ -149,7 +147,6 @@ class RemoteLedgerClient:
         return self._core.request_until_reply(Verb.ARCHIVED, report, Ack, self._stop).accepted
 
     def refuse(self, bundle: IncomingBundle, detail: str, *, is_false: bool = False) -> None:  # noqa: ARG002 - always false
-        """See `LedgerClient`."""
         self._core.ask(
             Verb.REFUSED,
             Refused(sid=bundle.sid, lease=bundle.lease, detail=cut_detail(detail)),

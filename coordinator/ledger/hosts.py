@@ -177,7 +177,6 @@ def _failing_hosts(connection: Connection, job: JobRow) -> set[str]:
 
 
 def is_alone(connection: Connection, host: str, now: datetime) -> bool:
-    """Returns whether no other host is available."""
     return not _others(connection, {host}, now)
 
 

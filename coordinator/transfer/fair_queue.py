@@ -41,7 +41,6 @@ class FairQueue(Generic[T]):
         self._is_open = True
 
     def put(self, owner: str, item: T) -> None:
-        """Appends an item."""
         with self._changed:
             self._served.setdefault(owner, min(self._served.values(), default=0.0))
             self._waiting.setdefault(owner, deque()).append(item)

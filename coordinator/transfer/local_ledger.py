@@ -29,21 +29,17 @@ class LocalLedgerClient:
         self._clock = clock
 
     def keep(self, bundles: Sequence[IncomingBundle], seconds: float) -> Sequence[bool]:
-        """See `LedgerClient`."""
         return self._writer.call(
             lambda connection: [claims.extend(connection, bundle.lease, self._clock(), seconds) for bundle in bundles]
         )
 
     def is_recorded(self, index: int) -> bool:
-        """See `LedgerClient`."""
         return self._writer.call(lambda connection: outcomes.is_recorded(connection, index))
 
     def record_archived(self, bundles: Sequence[ValidatedBundle]) -> Sequence[bool]:
-        """See `LedgerClient`."""
         return self._writer.call(lambda connection: [_record(connection, each, self._clock()) for each in bundles])
 
     def refuse(self, bundle: IncomingBundle, detail: str, *, is_false: bool = False) -> None:
-        """See `LedgerClient`."""
         report = Fail(
             sid=bundle.sid,
             lease=bundle.lease,

@@ -161,7 +161,6 @@ class _TrialProcess:
         self._starts = 0
 
     def close(self) -> None:
-        """Kills the process."""
         self._simulation.kill()
 
     def turn(self, waiting: deque[Job]) -> Trial | None:

@@ -98,7 +98,6 @@ class RuleBook(Model):
         return frozenset(rule.category for rule in self.rules if not rule.has_colour)
 
     def only(self, categories: Collection[str]) -> RuleBook:
-        """Returns the rules of some categories."""
         return RuleBook(rules=tuple(rule for rule in self.rules if rule.category in categories))
 
     def matches(self, name: str) -> Iterator[CategoryRule]:

@@ -90,17 +90,14 @@ class SlurmJob:
 
     @property
     def plan(self) -> Path:
-        """Path of the plan."""
         return self.run / "slurm" / "plan.toml"
 
     @property
     def scenes(self) -> Path:
-        """Folder of the compiled scenes."""
         return self.run / "scenes"
 
     @property
     def dataset(self) -> Path:
-        """Directory of the dataset."""
         return self.run / "dataset"
 
 

@@ -42,7 +42,6 @@ class Access:
         return _equal(cookie, self.session) or self.is_bearer(authorization)
 
     def is_form_key(self, text: str) -> bool:
-        """Returns whether a text is the form key."""
         return _equal(text, self.form_key)
 
     def _derived(self, purpose: str) -> str:

@@ -71,7 +71,6 @@ def all_routes(farm_view: Recent[FarmView]) -> list[BaseRoute]:
 
 
 def style(_request: Request) -> Response:
-    """Answers with the stylesheet."""
     return Response(_stylesheet(), media_type="text/css", headers={"cache-control": "max-age=300"})
 
 

@@ -77,7 +77,6 @@ class Evaluations:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the evaluations on the page."""
         return tuple(self._folders)
 
     def read(self, name: str) -> EvaluationReading:

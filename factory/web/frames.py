@@ -139,7 +139,6 @@ class FrameStore:
 
     @property
     def has_prepared(self) -> bool:
-        """Whether `prepare` has been called."""
         return self._prepared is not None
 
     def prepare(self, keys: Sequence[FrameKey]) -> None:

@@ -171,7 +171,6 @@ class Workspace:
 
     @property
     def root(self) -> Place:
-        """Location of the dataset's files."""
         return self.site.place
 
     def table(self) -> EpisodeTable:

@@ -114,7 +114,6 @@ def sid_belongs_to(sid: str, host: str) -> bool:
 
 
 def host_of(sid: str) -> str:
-    """Returns the host of a session id."""
     return sid.partition(".")[0]
 
 

@@ -139,7 +139,6 @@ class MeasurementDigest:
         self._digest = xxhash.xxh3_128()
 
     def add(self, arrays: Iterable[NDArray[Any]]) -> None:
-        """Adds the arrays of the next measurement."""
         for array in arrays:
             self._digest.update(np.ascontiguousarray(array).data)
 

@@ -66,7 +66,6 @@ class Rig(Model):
 
     @property
     def cameras(self) -> tuple[PinholeCamera | FisheyeCamera | EquirectangularCamera, ...]:
-        """The cameras of the rig."""
         kinds = PinholeCamera | FisheyeCamera | EquirectangularCamera
         return tuple(sensor for sensor in self.sensors if isinstance(sensor, kinds))
 

@@ -32,7 +32,6 @@ class PackedPath:
 
     @property
     def stem(self) -> str:
-        """The name without its suffix."""
         return self.name.rpartition(".")[0]
 
     @property
@@ -71,7 +70,6 @@ class PackedPath:
         return data[self.offset - begin :]
 
     def stream(self) -> Iterator[bytes]:
-        """Yields the content of the file."""
         yield self.read_bytes()
 
     def stat(self) -> Stat:

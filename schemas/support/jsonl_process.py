@@ -91,12 +91,10 @@ class JsonlProcess(Generic[M]):
 
     @property
     def pid(self) -> int:
-        """Process id."""
         return self._process.pid
 
     @property
     def is_running(self) -> bool:
-        """Whether the process has not ended."""
         return self._process.poll() is None
 
     def send(self, line: bytes) -> None:

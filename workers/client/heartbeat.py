@@ -54,7 +54,6 @@ log = structlog.get_logger(__name__)
 
 
 def make_hello(sid: str, host: str, slots: int) -> Hello:
-    """Returns the registration message of a worker."""
     return Hello(sid=sid, host=host, slots=slots, version=version("minivla-factory"))
 
 

@@ -45,7 +45,6 @@ class Phase:
         self._finished: float | None = None
 
     def close(self) -> None:
-        """Stops claiming; current attempts finish."""
         self.closing.set()
         self.heartbeat_due.set()
 

@@ -178,7 +178,6 @@ class Spool(Closing):
         return data
 
     def close(self) -> None:
-        """Unlocks the folder; the bundles stay in it."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1

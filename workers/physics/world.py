@@ -54,7 +54,6 @@ class ColliderMesh:
 
     @classmethod
     def from_scene(cls, scene: CompiledScene) -> Self:
-        """Prepares the obstacles of a compiled scene."""
         mesh = cls(mesh_lists(scene.collider_vertices, scene.collider_triangles))
         weakref.finalize(mesh, _discard, mesh.pieces, mesh.idle)
         return mesh

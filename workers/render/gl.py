@@ -106,7 +106,6 @@ class GlRenderer(Closing):
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
-        """Selects a scene by a key and the camera; see `Renderer`."""
         self._require_own_process()
         self._camera = camera
         with self._context:

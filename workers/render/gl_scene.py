@@ -76,7 +76,6 @@ class Programs:
         self._made: dict[ShaderPair, _Program] = {}
 
     def of(self, pair: ShaderPair) -> _Program:
-        """Returns the program of these shaders."""
         if pair not in self._made:
             self._made[pair] = _Program(self._context, pair)
         return self._made[pair]
@@ -188,7 +187,6 @@ class GpuScene:
         self._commands.write(self._draws[parts].tobytes())
 
     def close(self) -> None:
-        """Frees the device memory."""
         arrays: list[Any] = [self._plain, self._textured, self._uncoloured, *self._normals]
         for held in (*arrays, *self._mesh, self._commands, self._textures, self._light):
             held.release()

@@ -30,11 +30,9 @@ class LayerArray:
         self._forget = forget
 
     def use(self, unit: int) -> None:
-        """Binds the array to a texture unit."""
         self.array.use(unit)
 
     def release(self) -> None:
-        """Frees the array."""
         self._forget(self)
         self.array.release()
 

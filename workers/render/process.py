@@ -69,7 +69,6 @@ class ProcessRenderer(Closing):
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
-        """Selects a scene by a key and the camera; see `Renderer`."""
         self.load_package(key, lambda: encode_scene(read(), level=1), camera)
 
     def load_package(self, key: Hashable, read: Callable[[], bytes], camera: CameraConfig) -> None:

@@ -118,7 +118,6 @@ class ClosedLoop:
 
     @property
     def steps(self) -> int:
-        """Number of actions so far."""
         return len(self._actions)
 
     @property

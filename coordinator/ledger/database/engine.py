@@ -78,7 +78,6 @@ _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_
 
 
 def sqlite_url(file: Path) -> str:
-    """Returns the URL of an SQLite ledger."""
     return f"sqlite:///{file}"
 
 

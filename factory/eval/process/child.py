@@ -87,7 +87,6 @@ class _Driver:
         self._policy: Policy | None = None
 
     def wait(self, lines: queue.Queue[bytes]) -> bytes:
-        """Waits for the next order and returns it."""
         self._status.note(Activity.IDLE)
         return lines.get()
 

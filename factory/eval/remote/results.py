@@ -44,7 +44,6 @@ class ResultBundle(Model):
 
 
 def write_result_bundle(driven: ResultBundle, file: BinaryIO) -> None:
-    """Writes the bundle."""
     with ContainerWriter(file) as container:
         container.add(_MEMBER, driven.model_dump_json().encode())
 

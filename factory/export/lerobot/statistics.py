@@ -76,12 +76,10 @@ class ImageTally:
         self.samples += 1
 
     def merge(self, other: ImageCounts) -> None:
-        """Adds the histogram of an episode."""
         self.counts[:, list(other.values)] += np.asarray(other.counts, np.int64)
         self.samples += other.samples
 
     def result(self) -> ImageCounts:
-        """Returns the histogram."""
         seen = np.flatnonzero(self.counts.any(axis=0))
         counts = tuple(tuple(row[seen].tolist()) for row in self.counts)
         return ImageCounts(samples=self.samples, values=tuple(seen.tolist()), counts=counts)
@@ -151,7 +149,6 @@ class RunningStats:
             self._bins[column] += np.bincount(places[:, column], minlength=_BINS)
 
     def result(self) -> Stats:
-        """Returns the statistics of all values."""
         assert self._low is not None, "nothing merged yet"
         assert self._bins is not None, "nothing added yet"
         rising = np.cumsum(self._bins, axis=1) / self._count

@@ -47,7 +47,6 @@ class Lamps:
         return np.asarray(self.corner + self.sides.sum(axis=1) / 2)
 
     def chosen(self, rows: NDArray[np.intp]) -> Lamps:
-        """Returns a selection of the lamps."""
         return Lamps(self.corner[rows], self.sides[rows], self.normal[rows], self.power[rows])
 
 

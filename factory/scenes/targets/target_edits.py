@@ -72,7 +72,6 @@ def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -
 
 
 def recoloured(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
-    """Returns the targets with the colours of the list."""
     colours = {} if chosen is None else {entry.prim_path: entry.colour for entry in chosen.targets}
     return tuple(
         target.model_copy(update={"colour": colours.get(target.prim_path, target.colour)}) for target in targets

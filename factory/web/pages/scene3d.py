@@ -25,7 +25,6 @@ _making = threading.Lock()
 
 
 def routes() -> list[Route]:
-    """Returns the routes of the page and of the mesh."""
     return [Route("/scenes/{name}/3d", show), Route("/scenes/{name}/scene.glb", mesh)]
 
 

@@ -263,7 +263,6 @@ class SceneGraph:
 
 
 def build_graph(scene: CompiledScene) -> SceneGraph:
-    """Returns the scene graph of a compiled scene."""
     table, info = kinds(), scene.info
     raw = find_objects(scene, table)
     occupancy = CellGrid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)

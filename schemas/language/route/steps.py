@@ -68,7 +68,6 @@ class SceneRoutes:
 
     @property
     def doorways(self) -> tuple[RoomPassage, ...]:
-        """Passages between rooms."""
         return self.scene.doorways
 
 

@@ -33,7 +33,6 @@ class FittingObjects(NamedTuple):
     """Reason why the expression has no meaning in the scene, such as a landmark that is not unique."""
 
     def fits_only(self, number: int) -> bool:
-        """Returns whether the expression fits one object and no other."""
         return not self.fault and self.sure == self.possible == {number}
 
     def fits_any(self, number: int) -> bool:
