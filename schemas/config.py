@@ -181,8 +181,8 @@ class PlannerConfig(Model):
     stop_margin_m: NonNegative = 0.03
     """Distance inside the edge of the success region at which the robot starts to brake, metres."""
     max_path_m: Positive = 10.0
-    """Longest distance along the floor from a start in the far tier to the success region, metres. Longer drives do
-    not reliably fit into the 1000 steps of an episode."""
+    """Longest distance along the floor from a start in the far tier to the success region, metres."""
+    # longer drives do not reliably fit into the 1000 steps of an episode
     max_expansions: Annotated[int, Field(ge=1, le=10_000_000)] = 60_000
     """Largest number of poses that a search expands."""
     look_ahead_m: Positive = 0.40

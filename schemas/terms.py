@@ -33,8 +33,8 @@ TIER_RANGE_M = MappingProxyType({Tier.NEAR: (1.5, 3.5), Tier.MID: (3.5, 7.0)})
 """Range of the planar distance from the start to the target by the success measure, metres, for each tier except `far`,
 whose range is a distance along the floor."""
 FAR_FLOOR_M = (5.0, 11.0)
-"""Default range of the distance along the floor from a start in the far tier to the target, metres. Without the
-minimum, many far starts were nearer than most mid starts."""
+"""Default range of the distance along the floor from a start in the far tier to the target, metres."""
+# without the minimum, many far starts were nearer than most mid starts
 
 
 class Split(StrEnum):

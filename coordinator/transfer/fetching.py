@@ -28,8 +28,8 @@ _TURN_S = 0.25
 _FAILURES = 5
 """Number of failed transfers after which a bundle may be refused."""
 _SMALL_BYTES = 64 << 10
-"""Largest size of a bundle that is fetched together with others, bytes. For small bundles, requests, commits and syncs
-take most of the time, not the bytes."""
+"""Largest size of a bundle that is fetched together with others, bytes."""
+# for small bundles, requests, commits and syncs take most of the time, not the bytes
 _TOGETHER = 32
 """Largest number of bundles that are fetched, validated and recorded together."""
 assert _TOGETHER <= MAX_RANGES

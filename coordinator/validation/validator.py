@@ -44,8 +44,9 @@ from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess
 from schemas.support.log_limit import LogLimit
 
 _TRIES = 2
-"""Number of children that may die during the validation of a bundle before the bundle is refused. The second child is
-new, so earlier bundles cannot be the cause; a child that a signal from outside ended does not count."""
+"""Number of children that may die during the validation of a bundle before the bundle is refused."""
+# the second child is new, so earlier bundles cannot be the cause; a child that a signal from outside ended does not
+# count
 _LONGEST_PAUSE_S = 60.0
 """Longest pause between two log lines about terminated children, seconds."""
 _STARTUP_S = 60.0

@@ -16,8 +16,8 @@ class Access:
     token: str
     """Secret of this server; requests with it may change flags, notes and jobs."""
     reads_openly: bool
-    """Whether requests without the token may read: on loopback, or if clients need a certificate. Every user of the
-    machine reaches loopback, but `factory status` and the files of the dataset need no token either."""
+    """Whether requests without the token may read: on loopback, or if clients need a certificate."""
+    # every user of the machine reaches loopback, but `factory status` and the files of the dataset need no token either
 
     @property
     def session(self) -> str:

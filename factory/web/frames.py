@@ -26,8 +26,8 @@ from schemas.terms import Recording
 KINDS = ("rgb", "depth", "ids")
 """Images of a frame."""
 SMALL_PX = 320
-"""Width and height of the images for playback, pixels. With 640 pixels, 30 frames per second of a states episode need
-2.7 cores."""
+"""Width and height of the images for playback, pixels."""
+# with 640 pixels, 30 frames per second of a states episode need 2.7 cores
 _JPEG_QUALITY = 85
 _MOST_BYTES = 64 << 20
 """Size of the cache of encoded frames, bytes."""

@@ -21,9 +21,9 @@ from schemas.instruction.referents import ids_in_view
 from schemas.scene import MAX_INSTANCES
 
 IN_FRONT_RAD = math.radians(30)
-"""Largest angle between the heading and the direction to a target that is "in front of you", radians. It is larger than
-`SpawnConfig.heading_noise_rad` (25 degrees by default), so near and mid starts meet it and far starts are restricted;
-the target is then in the middle 58 % of an image with a field of view of 90 degrees."""
+"""Largest angle between the heading and the direction to a target that is "in front of you", radians."""
+# it is larger than `SpawnConfig.heading_noise_rad` (25 degrees by default), so near and mid starts meet it and far
+# starts are restricted; the target is then in the middle 58 % of an image with a field of view of 90 degrees
 
 Item = TypeVar("Item")
 InstanceId = Annotated[int, Field(ge=1, le=MAX_INSTANCES)]

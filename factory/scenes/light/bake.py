@@ -28,7 +28,8 @@ _NEAR_M = 0.03
 _UP = 0.95
 _FADE_M, _DEPTH = 0.065, 0.78
 """The light at a gap g from an object is reduced by the share `_DEPTH` exp(-g / `_FADE_M`): 78 % at the object, and
-less than 1 % at `_REACH_M`. No fit of these values to a reference is recorded."""
+less than 1 % at `_REACH_M`."""
+# no fit of these values to a reference is recorded
 _REACH_M = 0.3
 _MOST_SAMPLES = 4_000_000
 

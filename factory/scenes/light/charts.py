@@ -218,9 +218,9 @@ def _frames(triangles: Floats, normals: Floats) -> Floats:
 
 _TEXELS_PER_M = 12.0
 _FLOOR_GAIN, _CEILING_GAIN = 2.4, 0.4
-"""Density of the texels of large floors and ceilings, relative to other surfaces. A texel is 3.5 cm wide on a floor, so
-it shows a contact shadow, whose light changes over 6.5 cm (`_FADE_M` in `bake.py`); with the 8.3 cm of other surfaces
-it would not. Ceilings have no such shadows."""
+"""Density of the texels of large floors and ceilings, relative to other surfaces."""
+# a texel is 3.5 cm wide on a floor, so it shows a contact shadow, whose light changes over 6.5 cm (`_FADE_M` in
+# `bake.py`); with the 8.3 cm of other surfaces it would not. Ceilings have no such shadows
 _LARGE_M2 = 4.0
 _BUDGET = 512_000
 _MAX_SIDE = 1024

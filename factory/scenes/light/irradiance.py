@@ -111,8 +111,9 @@ def light_from(lamps: Lamps, near: Ints, points: Singles, normals: Singles) -> S
 
 
 _REACH_M = 1.6
-"""Length of the rays to the surroundings, metres. In a closed room every ray meets a surface, so a longer reach darkens
-whole rooms, and a shorter one shades only the immediate surroundings of objects. No measurement of it is recorded."""
+"""Length of the rays to the surroundings, metres."""
+# in a closed room every ray meets a surface, so a longer reach darkens whole rooms, and a shorter one shades only the
+# immediate surroundings of objects. No measurement of it is recorded
 _CELL_M = 2.5
 _LAMPS_A_CELL = 24
 _HIDDEN_SHARE = 0.35
