@@ -36,6 +36,7 @@ def render_thumbnails(root: Path, tell: ProgressCallback) -> None:
         WorldError: A coordinator has locked the dataset, it cannot be written, or this machine cannot render.
         ArchiveCorrupt: A table, an episode or a scene is damaged.
     """
+    # not at the end of a run, because the machine of a coordinator may have no graphics driver
     dataset, done = Dataset(root), count(1)
 
     def draw(episode_id: str) -> NDArray[np.uint8]:

@@ -2,6 +2,8 @@
 
 Independent of the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
 definitions in docs/language.md. It shares the thresholds, the graph and the words with the generator.
+
+Design: docs/design/language.md#sentences-are-verified-by-parsing.
 """
 
 from __future__ import annotations
@@ -31,7 +33,6 @@ class FittingObjects(NamedTuple):
     """Reason why the expression has no meaning in the scene, such as a landmark that is not unique."""
 
     def fits_only(self, number: int) -> bool:
-        """Returns whether the expression fits one object and no other."""
         return not self.fault and self.sure == self.possible == {number}
 
     def fits_any(self, number: int) -> bool:
