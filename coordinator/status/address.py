@@ -10,6 +10,8 @@ from urllib.parse import urlsplit
 from schemas.errors import UsageError, WorldError
 
 _MIN_TOKEN = 16
+_NOT_IN_HOST = frozenset("@/?#")
+"""Characters of a URL that are not valid in a host; `urlsplit` ignores what precedes or follows them."""
 
 
 class HttpAddress(NamedTuple):
@@ -60,6 +62,8 @@ def is_own_name(host: str, address: HttpAddress) -> bool:
         host: value of the header, with or without a port.
         address: configured address.
     """
+    if not _NOT_IN_HOST.isdisjoint(host):
+        return False
     try:
         name = (urlsplit(f"//{host}").hostname or "").rstrip(".").lower()
     except ValueError:

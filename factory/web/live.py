@@ -10,7 +10,7 @@ from collections.abc import Callable
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
-from factory.web.server import closing_of
+from coordinator.status.server import closing_of
 
 _SEND_S = 10.0
 """Timeout of one event for one tab, seconds; a slower tab is disconnected and reconnects."""

@@ -10,12 +10,14 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from anyio import open_file  # noqa: F401 - anyio imports it on first use, which is the first request for a file
 from starlette.routing import BaseRoute
 
 from coordinator.admin import administer as administer_dataset
 from coordinator.protocol.ask import OPERATOR
 from coordinator.protocol.tls import read_credentials
 from coordinator.status.address import parse_address
+from coordinator.status.server import HttpServer
 from factory.dataset.marks import Marks
 from factory.dataset.site import Site
 from factory.html import compile_templates
@@ -27,7 +29,6 @@ from factory.web.figures.store import StatisticsStore
 from factory.web.frames import FrameStore, first_frames
 from factory.web.pages.farm import read_view
 from factory.web.recent import Recent
-from factory.web.server import WebServer
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError
 from schemas.protocol.administration import AdminReply, AdminRequest
@@ -80,7 +81,7 @@ def serve(
     workspace, statistics = Workspace(site, ledger), StatisticsStore(str(site))
     context = make_context(workspace, administer or ask, statistics, evaluations)
     app = create_app(context, address, access, more_routes)
-    with statistics, WebServer(app, address, files) as server:
+    with statistics, HttpServer(app, address, "the web page", files) as server:
         threading.Thread(target=_prepare, args=(context, renders_ahead), name="prepare", daemon=True).start()
         yield server.url + ("" if token else f"/?token={access.token}")
 

@@ -184,7 +184,7 @@ def test_the_image_installs_the_runtime_packages_only() -> None:
     command = [sys.executable, "deploy/runtime_requirements.py", "requirements.txt", "pyproject.toml", *extras.split()]
     lines = subprocess.run(command, cwd=DEPLOY.parent, capture_output=True, text=True, check=True).stdout
     names = set(re.findall(r"^([\w.-]+)==", lines, re.MULTILINE))
-    assert {"numpy", "pybullet", "eclipse-zenoh", "obstore", "cryptography", "tornado"} <= names
+    assert {"numpy", "pybullet", "eclipse-zenoh", "obstore", "cryptography", "uvicorn"} <= names
     assert names.isdisjoint({"mypy", "ruff", "pytest", "moto", "playwright", "opencv-python-headless", "pandas"})
     assert lines.count("--hash=sha256:") >= len(names)
     locked = (DEPLOY.parent / "requirements.txt").read_text()

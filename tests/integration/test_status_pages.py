@@ -205,7 +205,8 @@ def test_an_endless_first_line_is_cut_off(server):
 
 
 def test_requests_with_a_foreign_host_name_are_refused(server):
-    for host in ("evil.example", "evil.example:9464", "127.0.0.1.evil.example", "10.0.0.1", "", "[", "a@127.0.0.1"):
+    foreign = ("evil.example", "evil.example:9464", "127.0.0.1.evil.example", "10.0.0.1")
+    for host in (*foreign, "", "[", "a@127.0.0.1", "127.0.0.1/x"):
         for path in ("/", "/healthz", "/readyz", "/metrics", "/nothing"):
             status, text = ask(server, path, Host=host)
             assert status in {400, 421}, (host, path)

@@ -12,13 +12,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from coordinator.status.address import parse_address
+from coordinator.status.server import HttpServer
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
 from factory.web.access import Access
 from factory.web.app import create_app
 from factory.web.figures.store import StatisticsStore
 from factory.web.pages.episodes import LARGE_ROWS
-from factory.web.server import WebServer
 from factory.web.start import make_context
 from factory.web.table import read_first_rows
 from factory.web.workspace import CurrentTable, Workspace
@@ -57,7 +57,7 @@ def page_with_slow_table(root: Path, may_read: threading.Event) -> Iterator[WebC
     workspace._table = CurrentTable(read, lambda: 1, 1.0)
     context = make_context(workspace, refuse, StatisticsStore(str(root)))
     app = create_app(context, address, Access("token", reads_openly=True))
-    with WebServer(app, address) as server:
+    with HttpServer(app, address, "the web page") as server:
         yield WebClient(server.url.removeprefix("http://"), "token")
 
 

@@ -55,5 +55,5 @@ def evaluations_option(command: Command) -> Command:
 def _require_pages(context: click.Context, param: click.Parameter, http: str | None) -> str | None:  # noqa: ARG001
     if http is not None:
         require_package("prometheus_client", "--http")
-        require_package("tornado", "--http")
+        require_package("uvicorn", "--http")
     return http
