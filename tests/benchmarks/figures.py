@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from factory.commands.common.output import print_table
+from factory.support.terminal import print_table
 
 BENCHES = {
     "rollout": ["rollout", "--against", "plain"],

@@ -1,1 +1,1 @@
-"""Commands `bench` and `completion`."""
+"""Command `bench` and its subcommands."""

@@ -8,19 +8,18 @@ from typing import Any
 
 import click
 
-from factory.cli.common.filters import scene_filter
-from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import (
+from factory.cli.groups import CommandGroup
+from factory.cli.options import (
+    PLACE,
     count_option,
-    former_option,
     json_option,
     plan_argument,
     pullers_option,
     record_option,
     renderer_option,
+    scene_filter,
     workers_option,
 )
-from factory.cli.common.places import PLACE
 from factory.cli.other.bench_dataset import dataset
 from factory.cli.other.bench_delivery import delivery
 from factory.cli.other.bench_serve import serve
@@ -58,7 +57,6 @@ def command() -> None:
 
 @command.command("rollout")
 @plan_argument(default="paper")
-@former_option("--plan", "plan_name", "PLAN")
 @scene_filter()
 @count_option("--episodes", 8, "Number of episodes of each scene.")
 @_repeats_option

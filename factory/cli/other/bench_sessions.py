@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from factory.cli.common.options import count_option, json_option, number_option
+from factory.cli.options import count_option, json_option, number_option
 
 
 @click.command("sessions")

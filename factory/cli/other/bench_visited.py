@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from factory.cli.common.options import count_option, json_option, number_option, plan_argument, workers_option
+from factory.cli.options import count_option, json_option, number_option, plan_argument, workers_option
 
 
 @click.command("visited")

@@ -12,12 +12,12 @@ from factory.bench.simulation.collect import bench_collect
 from factory.bench.simulation.memory import bench_memory
 from factory.bench.simulation.rollout import bench_rollout
 from factory.bench.workload import first_attempts, make_sample, narrow
-from factory.commands.common.output import print_result
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.commands.other.bench_tables import show_collect, show_coordinator, show_memory, show_rollout
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
+from factory.support.terminal import print_result
 from schemas.terms import ExpertName, Recording, RendererKind
 from workers.client.settings import WorkerSettings
 from workers.sim.context import SceneRenderer

@@ -9,13 +9,12 @@ from coordinator.expansion.plan_file import load_plan
 from factory.bench.reading.dataset import bench_dataset
 from factory.bench.reading.synthetic import make_synthetic
 from factory.bench.workload import enlarge, make_sample, narrow
-from factory.commands.common.bars import Bars
-from factory.commands.common.output import print_result
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_progress import SAMPLE_PLAN, temporary_folder
 from factory.commands.other.bench_tables import show_dataset
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
+from factory.support.terminal import Bars, print_result
 from workers.sim.context import SceneRenderer
 
 

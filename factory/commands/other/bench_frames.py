@@ -13,12 +13,12 @@ from factory.bench.reading.read import bench_read
 from factory.bench.results import RenderBench
 from factory.bench.simulation.render import bench_render
 from factory.bench.workload import narrow
-from factory.commands.common.output import print_result
 from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.commands.other.bench_tables import show_read, show_render
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
+from factory.support.terminal import print_result
 from schemas.config import CameraConfig
 from schemas.plan import Plan
 from schemas.scene import read_scene

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from factory.commands.common.bars import Bars
+from factory.support.terminal import Bars
 
 SAMPLE_PLAN = "demo"
 """Plan of the benchmarks that need a few episodes of each scene."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from factory.bench.reading.serve import bench_serve
-from factory.commands.common.output import print_result
 from factory.commands.other.bench_tables import show_serve
+from factory.support.terminal import print_result
 from schemas.storage.place import Place
 from schemas.support.extras import require_package
 

@@ -6,11 +6,11 @@ from coordinator.expansion.plan_file import load_plan
 from factory.bench.results import SessionsBench
 from factory.bench.service.sessions import SessionsLoad, bench_sessions
 from factory.bench.workload import make_sample, narrow
-from factory.commands.common.output import print_result, print_table
 from factory.commands.common.plan_changes import shrunk_plan
 from factory.commands.other.bench_progress import SAMPLE_PLAN, progress_bar, temporary_folder
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
+from factory.support.terminal import print_result, print_table
 from schemas.bundle import BundleReader
 from workers.sim.context import SceneRenderer
 

@@ -18,7 +18,7 @@ from factory.bench.results import (
     Spread,
     StageCost,
 )
-from factory.commands.common.output import print_table
+from factory.support.terminal import print_table
 
 if TYPE_CHECKING:
     from factory.bench.reading.dataset import DatasetBench

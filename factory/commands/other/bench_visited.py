@@ -6,7 +6,7 @@ import os
 
 from factory.bench.results import Spread
 from factory.bench.service.visited import VisitedBench, bench_visited
-from factory.commands.common.output import print_result, print_table
+from factory.support.terminal import print_result, print_table
 from schemas.support.extras import require_package
 
 
