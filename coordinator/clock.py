@@ -12,7 +12,6 @@ every lease."""
 
 
 def utc_now() -> datetime:
-    """Returns the time of this machine, in UTC."""
     return datetime.now(UTC)
 
 

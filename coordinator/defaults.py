@@ -1,4 +1,7 @@
-"""Defaults of the coordinator that its command line shows. Imports nothing, so help pages are shown fast."""
+"""Defaults of the coordinator that its command line shows. Imports nothing, so help pages are shown fast.
+
+Design: docs/design/program.md#commands-are-declared-without-their-imports.
+"""
 
 from __future__ import annotations
 

@@ -168,7 +168,6 @@ class Housekeeping:
         }
 
     def check_free_space(self) -> None:
-        """Checks the free space."""
         self._room.look(self._run.archive)
 
     def note_sandbox(self) -> None:
@@ -222,5 +221,6 @@ class Housekeeping:
 
 
 def _admit(admit: Callable[[], bool]) -> None:
+    # reads the list of hosts again during the run, because a restart of the coordinator would interrupt all workers
     if admit():
         log.warning("admission_changed", remedy="none; workers reconnect within seconds")

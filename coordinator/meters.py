@@ -30,7 +30,6 @@ class Meters:
         self._requests: Counter[str] = Counter()
 
     def add(self, meter: Meter, amount: float = 1) -> None:
-        """Adds an amount to a counter."""
         with self._guard:
             self._sums[meter] += amount  # type: ignore[assignment]
 
@@ -40,7 +39,6 @@ class Meters:
             self._requests[verb] += 1
 
     def sums(self) -> Mapping[Meter, float]:
-        """Returns all counters."""
         with self._guard:
             return {meter: self._sums[meter] for meter in Meter}
 

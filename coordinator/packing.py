@@ -1,6 +1,8 @@
 """Packs the episodes of a states dataset into shards. Does not change the ledger.
 
 During a run, a range of numbers is packed when no job of the range can change.
+
+Design: docs/design/data.md#shards-of-packed-episodes.
 """
 
 from __future__ import annotations

@@ -38,11 +38,9 @@ class PeriodicTasks(Closing):
 
     @property
     def is_alive(self) -> bool:
-        """Whether the thread runs."""
         return self._thread.is_alive()
 
     def close(self) -> None:
-        """Stops the thread after the current task."""
         self._stop.set()
         self._thread.join()
 

@@ -111,11 +111,9 @@ class Coordinator(Closing):
 
     @property
     def run(self) -> str:
-        """Name of the run."""
         return self._run.terms.plan.run
 
     def progress(self) -> Progress:
-        """Returns the progress of the run."""
         return self._run.ledger.progress().model_copy(update={"shards": len(self._run.archive.shards())})
 
     def is_finished(self) -> bool:

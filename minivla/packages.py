@@ -1,6 +1,8 @@
 """Checks that Python imports the product's packages, and not packages of the same name from another distribution.
 
 Does not import them, and does not change `sys.path` or `sys.modules`.
+
+Design: docs/design/program.md#the-import-name-minivla.
 """
 
 from __future__ import annotations

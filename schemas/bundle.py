@@ -289,7 +289,7 @@ def _keep_freed_memory() -> None:
     return the pages of every frame to the kernel, and the next frame causes 900 to 1300 page faults, which take a
     quarter of the decoding time of a frame. The pages of the block itself are never accessed.
     """
-    np.empty(_KEPT_FREE_BYTES, np.uint8)
+    np.empty(_KEPT_FREE_BYTES, np.uint8)  # not mallopt, which ends glibc's automatic adjustment of the thresholds
 
 
 def _name_findings(found: tuple[str, ...], expected: tuple[str, ...]) -> list[str]:

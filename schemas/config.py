@@ -44,7 +44,10 @@ class TaskConfig(Model):
 
 
 class DemonstrationConfig(Model):
-    """Requirements on a demonstration; an attempt that misses one has failed and is repeated from another start."""
+    """Requirements on a demonstration; an attempt that misses one has failed and is repeated from another start.
+
+    Design: docs/design/task.md#demonstrations-have-separate-requirements.
+    """
 
     max_contact_steps: Annotated[int, Field(ge=0, le=1000)] | None = None
     """Largest number of steps in which the robot touches anything but the floor; null: no limit, only
@@ -178,7 +181,8 @@ class PlannerConfig(Model):
     stop_margin_m: NonNegative = 0.03
     """Distance inside the edge of the success region at which the robot starts to brake, metres."""
     max_path_m: Positive = 10.0
-    """Longest distance along the floor from a start in the far tier to the success circle, metres."""
+    """Longest distance along the floor from a start in the far tier to the success region, metres."""
+    # longer drives do not reliably fit into the 1000 steps of an episode
     max_expansions: Annotated[int, Field(ge=1, le=10_000_000)] = 60_000
     """Largest number of poses that a search expands."""
     look_ahead_m: Positive = 0.40

@@ -2,6 +2,8 @@
 
 The worker draws the target from these objects; validation and statistics find the objects again. Pure functions; they
 read no file.
+
+Design: docs/design/language.md#the-target-is-drawn-from-exchangeable-objects.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 The family has an exact quota of episodes for each cell of split x tier. The episodes are distributed over the layouts
 in turn, so two layouts of one kind differ by at most one episode, in total and in each cell. The two kinds are the
 layouts of the unseen-scene splits, which are the last ones, and all others. Pure functions.
+
+Design: docs/design/jobs.md#layouts-get-episodes-from-the-plan.
 """
 
 from __future__ import annotations

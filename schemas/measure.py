@@ -35,6 +35,7 @@ STOPPED_RPS = 0.05
 def hold_steps_of(spec: EpisodeSpec, task: TaskConfig) -> int:
     """Returns the number of stationary steps that make a success. With a false premise, it is at least the number of
     steps in one second, because a robot that is about to drive is stationary for a few steps, too."""
+    # Design: docs/design/language.md#success-of-a-false-premise.
     return max(task.hold_steps, task.control_hz) if spec.is_false_premise else task.hold_steps
 
 
@@ -99,7 +100,6 @@ class Goal:
         return math.hypot(self.centre_m[0] - x, self.centre_m[1] - y)
 
     def is_disjoint(self, other: Goal) -> bool:
-        """Returns whether no point is in both goals."""
         if self.footprint_m and other.footprint_m:
             gap = min(self._least_gap(other.footprint_m), other._least_gap(self.footprint_m))
         else:

@@ -58,7 +58,12 @@ Shares = Mapping[Tier, float] | Mapping[Split, float]
 
 
 class Budget(Model):
-    """Limits on the attempts for one episode (docs/design/jobs.md#draws-and-budgets)."""
+    """Limits on the attempts for one episode (docs/design/jobs.md#draws-and-budgets).
+
+    More attempts per draw keep targets that are hard to reach; fewer attempts leave impossible targets sooner. With the
+    defaults, an episode has 240 attempts. If one attempt in ten succeeds, the lowest rate that was measured (far starts
+    in the office), all of them fail with a probability of 1e-11.
+    """
 
     attempts_per_draw: Annotated[int, Field(ge=1, le=1000)] = 6
     """Number of task failures after which target and template are drawn again."""

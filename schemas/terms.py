@@ -20,7 +20,10 @@ class Tier(StrEnum):
 
 
 class SuccessMeasure(StrEnum):
-    """Measure of the distance from base_link to the target, for the tier of a start and the success of an episode."""
+    """Measure of the distance from base_link to the target, for the tier of a start and the success of an episode.
+
+    Design: docs/design/task.md#success-is-measured-to-the-footprint.
+    """
 
     CENTROID = "centroid"  # planar distance to the target's centroid, as in the paper
     SURFACE = "surface"  # planar distance to the target's footprint, as in ObjectNav (docs/design/task.md#distances)
@@ -31,6 +34,7 @@ TIER_RANGE_M = MappingProxyType({Tier.NEAR: (1.5, 3.5), Tier.MID: (3.5, 7.0)})
 whose range is a distance along the floor."""
 FAR_FLOOR_M = (5.0, 11.0)
 """Default range of the distance along the floor from a start in the far tier to the target, metres."""
+# without the minimum, many far starts were nearer than most mid starts
 
 
 class Split(StrEnum):
@@ -41,6 +45,7 @@ class Split(StrEnum):
     TEST_ID = "test_id"  # as `train_id`, held out for testing
     TEST_PARAPHRASE_OOD = "test_paraphrase_ood"  # seen categories, paraphrased templates
     TEST_OOD_OBJ = "test_ood_obj"  # held-out categories, training templates
+    # each of these differs from a split of the paper by the scene alone, so a gap between the two has one cause
     TEST_UNSEEN_SCENE = "test_unseen_scene"  # as `test_id`, in layouts of the unseen-scene splits only
     TEST_UNSEEN_SCENE_PARAPHRASE_OOD = "test_unseen_scene_paraphrase_ood"  # as `test_paraphrase_ood`, in such layouts
     TEST_UNSEEN_SCENE_OOD_OBJ = "test_unseen_scene_ood_obj"  # as `test_ood_obj`, in such layouts
@@ -77,7 +82,10 @@ class ExpertName(StrEnum):
 
 
 class Recording(StrEnum):
-    """Content that an episode stores (docs/dataset.md#recordings)."""
+    """Content that an episode stores (docs/dataset.md#recordings).
+
+    Design: docs/design/data.md#recordings-of-states.
+    """
 
     FRAMES = "frames"  # actions, poses and every frame
     STATES = "states"  # actions, poses and the digests of a few frames; frames are rendered when they are read
@@ -85,6 +93,8 @@ class Recording(StrEnum):
 
 class Screening(StrEnum):
     """Selection of the starts of experts that drive straight (docs/design/starts.md#screening)."""
+
+    # Design: docs/design/starts.md#blind-starts-of-paper.
 
     NONE = "none"  # any free pose of the tier, as published: drives may fail
     SIGHT = "sight"  # as `none`, but near and mid starts have a line of sight to the target

@@ -31,6 +31,7 @@ class LightFile(Model):
 class ViewSettings(Model):
     """Rendering settings that a plan, or the rendering command, selects."""
 
+    # one object for all settings, so a new one adds no field to jobs, tasks, manifests and results
     rig: RigData | None = Field(default=None, exclude_if=lambda rig: rig is None)
     """Sensors whose measurements are stored in addition to the recorded camera; null for none."""
 
@@ -41,6 +42,5 @@ class ViewSettings(Model):
     """Light groups of the job's scene; null if the light is not varied."""
 
     def describe(self) -> str:
-        """Returns a short description of the settings."""
         shown = "the recorded camera" if self.rig is None else f"rig {self.rig.name} ({self.rig.digest[:12]})"
         return shown if self.appearance is None else f"{shown}, appearance {self.appearance.name}"

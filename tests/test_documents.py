@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shlex
@@ -26,8 +27,15 @@ HISTORY = ROOT / "CHANGELOG.md"
 OTHERS = re.compile(r"\b(DESIGN|STYLE) \d|\b(DESIGN|STYLE)\.md|\bnotes/|\bnotes of the project")
 """Citations of documents that are not in the repository."""
 PATH = re.compile(rf"(?<![\w./:\-])((?:{'|'.join(PACKAGES)}|tests|docs|deploy)/[\w./\-]+)(#[\w\-]+)?")
+GUIDES = {"docs/performance.md": 1800, "docs/language.md": 1800}
+"""Pages for users, whose details are in the appendices `docs/performance/` and `docs/language/`."""
 MADE = {"tests/data", "factory/run"}
 """Texts in the documents that look like paths but are not paths."""
+FACES = ("minivla", "factory.dataset", "factory.gym", "schemas.bundle")
+"""Packages and modules that users import. With the API reference, their public names need docstrings; elsewhere, a
+function has one only if it says more than the signature."""
+WHOLE = [ROOT / name.replace(".", "/") for name in FACES]
+"""Packages of which every module is documented; of other packages, the API reference shows `__init__` only."""
 
 
 def shown(path: Path) -> str:
@@ -51,6 +59,11 @@ def test_every_link_points_to_an_existing_file_and_anchor(page: Path) -> None:
 
 @pytest.mark.parametrize(("name", "limit"), LIMITS.items())
 def test_introductory_documents_are_short(name: str, limit: int) -> None:
+    assert len((ROOT / name).read_text(encoding="utf-8").split()) <= limit
+
+
+@pytest.mark.parametrize(("name", "limit"), GUIDES.items())
+def test_guides_with_an_appendix_are_short(name: str, limit: int) -> None:
     assert len((ROOT / name).read_text(encoding="utf-8").split()) <= limit
 
 
@@ -126,6 +139,34 @@ def test_the_api_reference_names_modules_that_exist() -> None:
     assert [str(file) for file in files if not (file.is_dir() or file.with_suffix(".py").exists())] == []
 
 
+def faces() -> list[Path]:
+    """Modules that users of the library import, and the modules of the API reference."""
+    text = (ROOT / "docs" / "site" / "hook.py").read_text(encoding="utf-8")
+    reference = re.findall(rf'"((?:{"|".join(PACKAGES)})(?:\.[a-z_]+)*)"', text)
+    places = [ROOT / name.replace(".", "/") for name in (*FACES, *reference)]
+    files = {module_of(place) for place in places}
+    return sorted(files.union(*(place.rglob("*.py") for place in WHOLE)))
+
+
+def module_of(place: Path) -> Path:
+    return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+
+
+@pytest.mark.parametrize("file", faces(), ids=shown)
+def test_every_public_name_of_the_public_modules_is_documented(file: Path) -> None:
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+    silent = [
+        node.name
+        for body in (tree.body, *(each.body for each in classes))
+        for node in body
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and not node.name.startswith("_")
+        and ast.get_docstring(node) is None
+    ]
+    assert silent == []
+
+
 def test_the_index_of_documents_reaches_every_document() -> None:
     reached, waiting = set(), [ROOT / "docs" / "README.md"]
     while waiting:
@@ -152,21 +193,24 @@ def test_the_quickstart_notebook_was_executed_and_its_commands_are_valid() -> No
         assert [one for one in cell["outputs"] if one["output_type"] == "error"] == []
 
 
-def test_every_decision_is_listed_once_and_has_all_its_sections() -> None:
-    folder = ROOT / "docs" / "decisions"
-    files = sorted(path for path in folder.glob("*.md") if path.name != "README.md")
-    listed = re.findall(r"\[(\d{4})\]\((\S+?)\)", (folder / "README.md").read_text(encoding="utf-8"))
-    assert sorted(name for _, name in listed) == [path.name for path in files]
-    assert [path.name[:4] for path in files] == [f"{number:04d}" for number in range(1, len(files) + 1)]
-    for path in files:
-        text = path.read_text(encoding="utf-8")
-        assert re.findall(r"^## (.*)$", text, re.MULTILINE) == [
-            "Context",
-            "Decision",
-            "Rejected alternatives",
-            "Consequences",
-        ], path.name
-        assert re.search(r"^- Status: (accepted|superseded by)", text, re.MULTILINE), path.name
+def test_every_decision_is_listed_in_the_index_and_cited_by_the_code() -> None:
+    folder = ROOT / "docs" / "design"
+    decisions = set()
+    for note in folder.glob("*.md"):
+        part = note.read_text(encoding="utf-8").partition("\n## Decisions\n")[2]
+        titles = re.findall(r"^### (.*)$", part, re.MULTILINE)
+        assert part.count("Rejected:") == len(titles), note.name
+        decisions |= {f"{note.name}#{title.lower().replace(' ', '-')}" for title in titles}
+    assert len(decisions) > 40
+    listed = {link for link in links_of(folder / "README.md") if "#" in link}
+    cited = {
+        f"{path.removeprefix('docs/design/')}{anchor}"
+        for source in SOURCES
+        if source.suffix == ".py" and source.relative_to(ROOT).parts[0] in PACKAGES
+        for path, anchor in cited_paths(source)
+    }
+    assert listed == decisions
+    assert decisions - cited == set()
 
 
 LINES = [

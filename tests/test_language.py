@@ -18,7 +18,7 @@ from tests.builders.pages import PAGES, ROOT
 PACKAGES = ("schemas", "coordinator", "workers", "factory", "minivla", "tests", "docs", "deploy")
 OTHER_SUFFIXES = ("c", "css", "html", "j2", "service", "sh", "toml", "yaml", "yml")
 OTHER_FILES = ("Makefile", "pyproject.toml")
-HISTORY = {ROOT / "CHANGELOG.md", *(ROOT / "docs" / "decisions").glob("*.md")}
+HISTORY = {ROOT / "CHANGELOG.md"}
 """Texts that describe the state at their date and keep the names of that date."""
 PHRASES = Path(__file__).with_name("banned_phrases.toml")
 """Phrases, regular expressions and former names, each with a replacement. Former names are not banned in `HISTORY`."""

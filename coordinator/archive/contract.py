@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Protocol
 
 from coordinator.archive.scenes import scene_file
-from coordinator.archive.staging import Staged
+from coordinator.archive.staging import PartFile
 from schemas.errors import FactoryError
 from schemas.storage.place import FilePlace, Place
 
-__all__ = ["Archive", "Staged", "scene_file"]
+__all__ = ["Archive", "PartFile", "scene_file"]
 
 
 class Archive(AbstractContextManager["Archive", None], Protocol):
@@ -27,14 +27,14 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
     def root(self) -> Place:
         """Root path of the dataset."""
 
-    def stage(self, index: int) -> Staged:
+    def stage(self, index: int) -> PartFile:
         """Opens a new part file for an episode. An episode may have several open part files.
 
         Raises:
             WorldError: the disk is full or unavailable.
         """
 
-    def publish(self, staged: Staged, index: int) -> Place:
+    def publish(self, staged: PartFile, index: int) -> Place:
         """Publishes a part file durably under its final name. The ledger commits afterwards.
 
         Raises:
@@ -42,7 +42,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
             WorldError: the file cannot be stored; no incomplete file is published.
         """
 
-    def publish_all(self, parts: Mapping[int, Staged]) -> Mapping[int, FactoryError]:
+    def publish_all(self, parts: Mapping[int, PartFile]) -> Mapping[int, FactoryError]:
         """Publishes the part files of several episodes, as `publish` does, and syncs them together.
 
         Returns:

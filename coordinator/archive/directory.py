@@ -15,7 +15,7 @@ from pathlib import Path
 
 from coordinator.archive.packing import PackingArchive
 from coordinator.archive.scenes import SceneStore
-from coordinator.archive.staging import Staged, Staging
+from coordinator.archive.staging import PartFile, Staging
 from schemas.dataset.rows import file_name_of
 from schemas.errors import FactoryError, WorldError
 from schemas.job import episode_id, index_of_file
@@ -60,11 +60,10 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
             self.close()
             raise
 
-    def stage(self, index: int) -> Staged:
-        """See `Archive.stage`."""
+    def stage(self, index: int) -> PartFile:
         return self._staging.stage(index)
 
-    def publish(self, staged: Staged, index: int) -> Path:
+    def publish(self, staged: PartFile, index: int) -> Path:
         """Publishes a part file: fsync, rename, fsync of the directory. The ledger commits afterwards.
 
         Raises:
@@ -75,7 +74,7 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
             raise error
         return self._file_of(index)
 
-    def publish_all(self, parts: Mapping[int, Staged]) -> dict[int, FactoryError]:
+    def publish_all(self, parts: Mapping[int, PartFile]) -> dict[int, FactoryError]:
         """See `Archive.publish_all`. The folder is synced once; the files are synced by several threads."""
         failed = dict(self._flush_all(parts))
         with self._publishing:
@@ -91,14 +90,14 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
                     sync_directory(self.root / EPISODES)
         return failed
 
-    def _flush_all(self, parts: Mapping[int, Staged]) -> Iterator[tuple[int, FactoryError]]:
+    def _flush_all(self, parts: Mapping[int, PartFile]) -> Iterator[tuple[int, FactoryError]]:
         """Syncs part files. Yields episode number and error for each part file that cannot be synced."""
         errors = map(_flush, parts.values()) if len(parts) == 1 else self._syncing.map(_flush, parts.values())
         for index, error in zip(parts, errors, strict=True):
             if error is not None:
                 yield index, error
 
-    def _rename(self, staged: Staged, index: int) -> None:
+    def _rename(self, staged: PartFile, index: int) -> None:
         self._require_free(index)
         final = self._file_of(index)
         with translated("rename into", final.parent):
@@ -135,7 +134,6 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
         return set_copy_aside(path.read_bytes(checked=False), str(path), self.root / QUARANTINE, reason)
 
     def restore(self, path: Place, index: int) -> Path:
-        """See `Archive.restore`."""
         assert isinstance(path, Path), path
         final = self._file_of(index)
         with self._publishing, translated("move into", final.parent):
@@ -147,7 +145,6 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
         return final
 
     def free_bytes(self) -> int:
-        """See `Archive.free_bytes`."""
         return self._staging.free_bytes()
 
     def _keep(self, source: Path, place: Place) -> None:
@@ -188,7 +185,7 @@ class DirectoryArchive(PackingArchive, SceneStore, Closing):
         self._staging.close()
 
 
-def _flush(staged: Staged) -> FactoryError | None:
+def _flush(staged: PartFile) -> FactoryError | None:
     try:
         staged.flush()
     except WorldError as error:

@@ -4,6 +4,8 @@ Part files and the lock file are stored in a local directory, the state director
 state directory whose coordinator may write. The lock object is created once and does not expire, so a coordinator
 that was suspended for a while keeps the dataset. The module does not overwrite an episode and does not read bundle
 contents.
+
+Design: docs/design/protocol.md#the-lock-of-a-bucket-does-not-expire.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import structlog
 
 from coordinator.archive.packing import PackingArchive, in_threads
 from coordinator.archive.scenes import SceneStore
-from coordinator.archive.staging import Staged, Staging
+from coordinator.archive.staging import PartFile, Staging
 from schemas.dataset.rows import file_name_of
 from schemas.errors import ArchiveCorrupt, FactoryError, WorldError
 from schemas.job import episode_id, index_of_file
@@ -75,11 +77,10 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             self.close()
             raise
 
-    def stage(self, index: int) -> Staged:
-        """See `Archive.stage`."""
+    def stage(self, index: int) -> PartFile:
         return self._staging.stage(index)
 
-    def publish(self, staged: Staged, index: int) -> ObjectPath:
+    def publish(self, staged: PartFile, index: int) -> ObjectPath:
         """Uploads a part file to its final key in one conditional put. The ledger commits afterwards.
 
         If the response to a put was lost, the retry finds its own object: an object with the same bytes counts as
@@ -103,12 +104,12 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
                 raise ArchiveCorrupt(f"{final} has {found} bytes, but {staged.size} were sent: run `factory repair`")
         return final
 
-    def publish_all(self, parts: Mapping[int, Staged]) -> dict[int, FactoryError]:
+    def publish_all(self, parts: Mapping[int, PartFile]) -> dict[int, FactoryError]:
         """See `Archive.publish_all`. Some objects are put at the same time."""
         errors = in_threads(lambda part: self._error_of(*part), parts.items())
         return {index: error for index, error in zip(parts, errors, strict=True) if error is not None}
 
-    def _error_of(self, index: int, staged: Staged) -> FactoryError | None:
+    def _error_of(self, index: int, staged: PartFile) -> FactoryError | None:
         try:
             self.publish(staged, index)
         except FactoryError as error:
@@ -162,7 +163,6 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
         return place
 
     def restore(self, path: Place, index: int) -> ObjectPath:
-        """See `Archive.restore`."""
         assert isinstance(path, ObjectPath), path
         final = self._file_of(index)
         self._require_free(index)
@@ -186,7 +186,6 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
 
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
-        """See `Archive.replacing`."""
         part = self._staging.part(name.rpartition("/")[2])
         try:
             with translated("write", part):

@@ -97,43 +97,35 @@ class PackingArchive(ABC):
         return index
 
     def path_of(self, index: int) -> FilePlace:
-        """See `Archive.path_of`."""
         return self._shards.find(index) or self._file_of(index)
 
     def present(self) -> dict[int, FilePlace]:
-        """See `Archive.present`."""
         with self._packing:  # while an episode is packed, it is stored twice
             packed: dict[int, FilePlace] = dict(self._shards)
             return dict(sorted((packed | self.unpacked()).items(), key=itemgetter(0)))
 
     def unpacked(self) -> dict[int, Place]:
-        """See `Archive.unpacked`."""
         found = ((index, path) for index, path in self._listing() if index is not None)
         return dict(sorted(found, key=itemgetter(0)))
 
     def foreign(self) -> list[Place]:
-        """See `Archive.foreign`."""
         known = {self.root / EPISODES / name for name in self._directories}
         return sorted(path for index, path in self._listing() if index is None and path not in known)
 
     def shards(self) -> Sequence[str]:
-        """See `Archive.shards`."""
         return self._shards.names
 
     def pack(self, owned: Mapping[int, str], first: int, last: int) -> int:
-        """See `Archive.pack`."""
         with self._packing:
             shard = self._write_shard(self._whole_files(owned), first, last)
             self._delete([self._file_of(int(number)) for number in shard.numbers])
         return len(shard.numbers)
 
     def write_shard_index(self) -> None:
-        """See `Archive.write_shard_index`."""
         with self._packing, self.replacing(SHARDS_FILE) as path:
             write_index(path, self._shards)
 
     def unpublish(self, index: int) -> None:
-        """See `Archive.unpublish`."""
         with self._packing:
             self._delete([self._file_of(index)])
             packed = self._shards.find(index)
@@ -141,7 +133,6 @@ class PackingArchive(ABC):
                 self._remove(packed.shard.name, {index})
 
     def quarantine(self, path: FilePlace, reason: str) -> Place:
-        """See `Archive.quarantine`."""
         if not isinstance(path, PackedPath):
             return self._set_aside(path, reason)
         index = index_of_file(path.name) or 0

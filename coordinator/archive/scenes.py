@@ -39,7 +39,6 @@ class SceneStore(ABC):
         """Deletes a file."""
 
     def add_scene(self, source: Path, name: str, sha256: str, textures: Sequence[str] = ()) -> Place:
-        """See `Archive.add_scene`."""
         place = self.scene_path(name, sha256)
         if not place.exists():
             _require_digest(source, sha256)
@@ -49,7 +48,6 @@ class SceneStore(ABC):
         return place
 
     def add_texture(self, source: Path, sha256: str) -> Place:
-        """See `Archive.add_texture`."""
         place = self.texture_path(sha256)
         if not place.exists():
             _require_digest(source, sha256)
@@ -57,15 +55,12 @@ class SceneStore(ABC):
         return place
 
     def scene_path(self, name: str, sha256: str) -> Place:
-        """See `Archive.scene_path`."""
         return self.root / SCENES / scene_file(name, sha256)
 
     def texture_path(self, sha256: str) -> Place:
-        """See `Archive.texture_path`."""
         return self.root / SCENES / texture_file(sha256)
 
     def sweep_textures(self, needed: Collection[str]) -> None:
-        """See `Archive.sweep_textures`."""
         places = set(map(self.texture_path, needed))
         for place in children(self.root / SCENES / TEXTURES):
             if place not in places:

@@ -27,7 +27,7 @@ _ASKED_S = 0.001
 """Pause between two attempts to take the lock, seconds."""
 
 
-class Staged(Closing):
+class PartFile(Closing):
     """Part file that is hashed while it is written; `Archive.publish` turns it into an episode."""
 
     def __init__(self, path: Path, file: FileIO) -> None:
@@ -103,6 +103,7 @@ class Staged(Closing):
         except OSError as error:
             self.abandon()
             raise world_error("write", self.path.parent, error) from error
+        # a copy into page cache that was not used recently is several times slower
         if self.size > MAX_PACKED_BYTES and not self.is_linked:
             with contextlib.suppress(OSError):  # a file system may refuse the advice; the bytes are on the disk
                 os.posix_fadvise(self._file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
@@ -142,7 +143,7 @@ class Staging:
             self.close()
             raise
 
-    def stage(self, index: int) -> Staged:
+    def stage(self, index: int) -> PartFile:
         """Opens a new part file for an episode. An episode may have several open part files.
 
         Raises:
@@ -150,7 +151,7 @@ class Staging:
         """
         path = self.part(episode_id(index))
         try:
-            return Staged(path, path.open("xb", buffering=0))
+            return PartFile(path, path.open("xb", buffering=0))
         except OSError as error:
             raise world_error("write", path.parent, error) from error
 

@@ -3,6 +3,8 @@
 For scenes, no other distribution has a smaller sum of squared totals. For a family, the quotas follow from the plan
 only: the family has a sequence of seen and one of held-out categories, each made of random permutations, and the plan
 assigns positions in them to its layouts. Reads no scene; `level` draws no random numbers.
+
+Design: docs/design/jobs.md#equal-shares-of-categories.
 """
 
 from __future__ import annotations

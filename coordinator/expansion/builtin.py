@@ -33,14 +33,14 @@ _PAPER = Plan(
     robot=RobotConfig(max_braking_mps2=7.0),
     spawn=SpawnConfig(screening=Screening.NONE, far_floor_m=(5.0, 6.5)),
 )
-"""1174 episodes with the paper's shares, seed and expert, and a braking limit fitted to the published drives.
-Starts are not screened, except in the office: the paper's office is one open room, but this office has inner walls, so
-its near and mid starts need sight of the target
-(docs/decisions/0154-start-papers-office-episodes-in-sight-of-the-target.md)."""
+"""1174 episodes with the paper's shares, seed and expert, and a braking limit fitted to the published drives
+(docs/design/starts.md#drives-of-paper). Starts are not screened, except in the office: the paper's office is one open
+room, but this office has inner walls, so its near and mid starts need sight of the target
+(docs/design/starts.md#sight-in-the-office-of-paper)."""
 
 _AMBIGUOUS = {"full_warehouse": ("rack",), "warehouse_multiple_shelves": ("shelf", "rack")}
 """Ambiguous categories by scene: almost every start in the scene shows several objects of such a category
-(docs/decisions/0127-exempt-shelves-and-racks-from-uniqueness.md)."""
+(docs/design/starts.md#ambiguous-categories-of-balanced)."""
 
 
 def _balanced_scene(name: str, seen: int, held_out: int) -> ScenePlan:
@@ -71,7 +71,7 @@ _BALANCED = Plan(
 """1200 episodes: 135 of each seen category and 30 of each held-out category, planner expert, colours on, disjoint
 instances for training and evaluation, instructions that fit one object, no contact and the target in view on arrival.
 The numbers of episodes per scene permit equal shares of the categories, and each scene names all its categories
-(docs/decisions/0125-give-every-category-of-balanced-an-equal-share.md)."""
+(docs/design/jobs.md#equal-shares-of-categories)."""
 
 _REFERRING = Plan(
     name="referring",

@@ -46,13 +46,11 @@ class SceneEntry:
 
     @functools.cached_property
     def light_file(self) -> LightFile | None:
-        """Digest and size of the light groups."""
         if self.light is None:
             return None
         return LightFile(sha256=digest_of(self.light), size=self.light.stat().st_size)
 
     def texture_path(self, sha256: str) -> Path:
-        """Returns the path of the file of a texture."""
         return self.path.parent / texture_file(sha256)
 
 

@@ -183,7 +183,6 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
 
 
 def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> Job:
-    """Returns the job of one attempt at a planned draw."""
     entry = catalog[planned.episode.scene]
     return Job(
         **dict(planned.episode),
@@ -225,6 +224,7 @@ def _demonstration(plan: Plan, episode: EpisodeSpec) -> DemonstrationConfig:
 
 def _start_view(plan: Plan, entry: SceneEntry, planned: PlannedJob) -> StartView | None:
     """Returns the conditions on the start of an episode; `None` if there are none."""
+    # in ids of objects, because the validator has no scene with which it could evaluate the instruction
     episode, info = planned.episode, entry.info
     if plan.language is not None and plan.language.exchangeable:
         return _choice_view(plan, plan.language, entry, planned)

@@ -1,7 +1,8 @@
 """Determines which targets of a scene have starts in the far tier, for the smallest far distance that a plan permits.
 
 A package records the tiers for the default distance. Without this module, a plan that permits smaller far
-distances would be refused in a small room. Reads the surveyed points of a package, and writes nothing.
+distances would be refused in a small room. A package that records all distances would need a new format, and the
+digest of every scene would change. Reads the surveyed points of a package, and writes nothing.
 """
 
 from __future__ import annotations

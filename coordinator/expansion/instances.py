@@ -78,6 +78,7 @@ def _divide(plan: Plan, scene: ScenePlan, group: list[Target], wanted: Mapping[S
         return {group[0].target_id: Side.SHARED}
     # targets with starts in the most tiers come first, so both sides get some of these targets
     group = sorted(group, key=lambda target: -len(startable_tiers(plan, scene, target)))
+    # not by a hash of the id, which could put all instances of a small category on one side
     order = webster_sequence({side: float(count) for side, count in wanted.items()}, len(group))
     for side in wanted:
         if side not in order:

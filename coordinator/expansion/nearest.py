@@ -46,6 +46,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> NearestPlan:
         if scene.layouts is not None:  # a layout that does not fulfil the plan is refused when it is built
             kept.append(scene)
             continue
+        # compares whole combinations: the removal of one tier or split after another can end with a single split
         part = _possible(plan, scene, catalog[scene.name])
         lost = _moved(cells(plan, scene), {} if part is None else cells(plan, part))
         moved += lost

@@ -37,7 +37,7 @@ def plan_to_toml(plan: Plan) -> str:
     data["task"] = {"success": str(plan.task.success), **data.pop("task", {})}
     data |= plan.model_dump(mode="json", include=shares)
     data["scenes"] = scenes
-    return tomli_w.dumps(data)
+    return tomli_w.dumps(data)  # a template of text failed for paths with control characters
 
 
 def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) -> Plan:

@@ -80,7 +80,6 @@ class SceneCells:
 
     @cached_property
     def wording(self) -> Wording:
-        """Words that instructions may use in the scene."""
         return Wording(self.plan, self.scene, self.entry.info)
 
     @cached_property
@@ -112,7 +111,6 @@ class SceneCells:
 
 
 def scene_cells(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> SceneCells:
-    """Returns the cells of one scene of a plan."""
     return SceneCells(plan, scene, with_far_tiers(plan, entry), cells(plan, scene))
 
 
@@ -124,6 +122,5 @@ def each_scene(plan: Plan, catalog: Catalog) -> Iterator[SceneCells]:
 
 
 def categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
-    """Returns the categories that a split of a scene names."""
     seen, held_out = scene.categories
     return held_out if split.is_held_out else seen

@@ -2,6 +2,8 @@
 
 Detects a core that does not reply and reopens the router. `gateway.json` records the run and the gateway that own a
 directory, so no gateway uses the episodes of another. Does not interpret requests.
+
+Design: docs/design/protocol.md#a-gateway-has-no-ledger.
 """
 
 from __future__ import annotations
@@ -17,10 +19,10 @@ import structlog
 
 from coordinator.archive.contract import Archive
 from coordinator.protocol.ask import read_reply
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.relay import Archived, ExtendLease, Inventory, InventoryReply, Refused
-from coordinator.transfer.contract import Delivery
+from coordinator.transfer.contract import ValidatedBundle
 from schemas.base import Model
 from schemas.dataset.rows import BundleReceipt
 from schemas.errors import TransientError, UsageError, WorldError
@@ -126,32 +128,28 @@ class RemoteLedgerClient:
         self._archive = archive
         self._stop = stop
 
-    def keep(self, pulls: Sequence[Pull], seconds: float) -> Sequence[bool]:
-        """See `LedgerClient`."""
-        return [
-            self._core.ask(Verb.HOLD, ExtendLease(lease=pull.lease, seconds=seconds), Ack).accepted for pull in pulls
-        ]
+    def keep(self, bundles: Sequence[IncomingBundle], seconds: float) -> Sequence[bool]:
+        requests = (ExtendLease(lease=bundle.lease, seconds=seconds) for bundle in bundles)
+        return [self._core.ask(Verb.HOLD, request, Ack).accepted for request in requests]
 
-    def is_owned(self, index: int) -> bool:
-        """See `LedgerClient`."""
+    def is_recorded(self, index: int) -> bool:
         size = self._archive.path_of(index).stat().st_size
-        told = Inventory(first=index, last=index, files=((index, size),))
-        strays = self._core.ask(Verb.INVENTORY, told, InventoryReply).strays
+        request = Inventory(first=index, last=index, files=((index, size),))
+        strays = self._core.ask(Verb.INVENTORY, request, InventoryReply).strays
         return all(stray.index != index for stray in strays)
 
-    def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
+    def record_archived(self, bundles: Sequence[ValidatedBundle]) -> Sequence[bool]:
         """See `LedgerClient`. Repeats each request until the core replies, because the file is already durable."""
-        return [self._own(pull, receipt) for pull, receipt, _ in deliveries]
+        return [self._record(bundle, receipt) for bundle, receipt, _ in bundles]
 
-    def _own(self, pull: Pull, receipt: BundleReceipt) -> bool:
-        told = Archived.model_validate({"summary": receipt, "lease": pull.lease})
-        return self._core.request_until_reply(Verb.ARCHIVED, told, Ack, self._stop).accepted
+    def _record(self, bundle: IncomingBundle, receipt: BundleReceipt) -> bool:
+        report = Archived.model_validate({"summary": receipt, "lease": bundle.lease})
+        return self._core.request_until_reply(Verb.ARCHIVED, report, Ack, self._stop).accepted
 
-    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:  # noqa: ARG002 - always false
-        """See `LedgerClient`."""
+    def refuse(self, bundle: IncomingBundle, detail: str, *, is_false: bool = False) -> None:  # noqa: ARG002 - always false
         self._core.ask(
             Verb.REFUSED,
-            Refused(sid=pull.sid, lease=pull.lease, detail=cut_detail(detail)),
+            Refused(sid=bundle.sid, lease=bundle.lease, detail=cut_detail(detail)),
             Ack,
         )
 

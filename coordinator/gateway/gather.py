@@ -163,6 +163,7 @@ def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_mi
 
 
 def _pack(archive: Archive, engine: Engine, plan: Plan, size: int) -> None:
+    # gateways do not pack, because only the ledger knows the ranges whose jobs can no longer change
     with engine.connect() as connection:
         pack_settled(archive, connection, plan, not has_open_jobs(connection), size)
 
@@ -186,6 +187,7 @@ def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
 
 
 def _copy(archive: Archive, one: _Wanted, path: FilePlace) -> str:
+    # copies, because hard links are possible only within one file system
     with archive.stage(one.index) as staged:
         try:
             with path.open("rb") as file:

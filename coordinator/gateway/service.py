@@ -19,7 +19,7 @@ from coordinator.gateway.core import CoreLink, RemoteLedgerClient, has_owner, re
 from coordinator.gateway.inventory import reconcile_directory
 from coordinator.meters import Meters
 from coordinator.periodic_tasks import PeriodicTasks
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.relay import MAX_ORDERS, Join, JoinReply, Orders, OrdersRequest, RelayOrder
 from coordinator.protocol.tls import Guard
@@ -171,17 +171,17 @@ class Gateway(Closing):
         free = max(0, MAX_ORDERS - self._pullers.waiting) if has_room else 0
         duty = OrdersRequest(router=self._node.router_id, most=free, busy=self._pullers.busy_hosts)
         try:
-            told = self._core.ask(Verb.ORDERS, duty, Orders)
+            reply = self._core.ask(Verb.ORDERS, duty, Orders)
         except TransientError as error:
             log.debug("no_orders", error=str(error))
             return
-        for order in told.orders:
-            self._pullers.offer(_pull_of(order))
+        for order in reply.orders:
+            self._pullers.offer(_bundle_of(order))
 
     def _admit(self) -> None:
         if self._node.admit():
             log.warning("admission_changed", remedy="none; workers reconnect within seconds")
 
 
-def _pull_of(order: RelayOrder) -> Pull:
-    return Pull(order.lease, order.sid, order.sha256, order.size, order.job, order.candidates)
+def _bundle_of(order: RelayOrder) -> IncomingBundle:
+    return IncomingBundle(order.lease, order.sid, order.sha256, order.size, order.job, order.candidates)

@@ -84,6 +84,7 @@ def _move_all(
 
 
 _PAUSED, _REQUESTS = "paused", "requests"
+# keys of the table `info`, not events, because the audit treats an event without a job as damage
 _KEPT = 100
 _VALUE = PreparedStatement(select(info.c.value).where(info.c.key == bindparam("wanted")))
 

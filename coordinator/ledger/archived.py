@@ -71,7 +71,6 @@ def gateways_by_episode(connection: Connection) -> Mapping[int, str]:
 
 
 def count_by_gateway(connection: Connection) -> Mapping[str, int]:
-    """Returns the number of episodes per gateway."""
     if not inspect(connection).has_table(gateway_episodes.name):
         return {}
     query = (

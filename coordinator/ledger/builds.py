@@ -2,6 +2,8 @@
 draw is the position of the seed in the sequence of seeds of the layout.
 
 The module records no outcome; `outcomes` inserts the episodes of a layout when its package is recorded.
+
+Design: docs/design/jobs.md#builds-are-jobs-of-the-ledger.
 """
 
 from __future__ import annotations
@@ -59,7 +61,6 @@ def insert_builds(connection: Connection, plan: Plan, layouts: Iterable[str], no
 
 
 def insert_next_seed(connection: Connection, refused: BuildRow, now: datetime, attempt: int) -> None:
-    """Inserts the build of a layout with the next seed."""
     connection.execute(insert(jobs), [_row(refused.idx, refused.draw + 1, refused.scene, attempt, now)])
 
 
@@ -116,7 +117,6 @@ def number_of_layout(plan: Plan, row: BuildRow) -> int:
 
 
 def open_builds(connection: Connection) -> Sequence[Row[Any]]:
-    """Returns the builds that have not ended."""
     query = select(jobs).where(jobs.c.tier == BUILD, jobs.c.superseded.is_(False), is_in(*OPEN_STATES))
     return connection.execute(query).all()
 

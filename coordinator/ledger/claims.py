@@ -33,6 +33,10 @@ heartbeat arrived during the downtime."""
 _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
+"""Pause of a job after its first expired lease, and the longest pause, seconds. The pause doubles with each consecutive
+expired lease of the job."""
+# the first is short, because most workers are lost without a fault of the job; from the eleventh on, a job that stops
+# its workers costs at most one lease in half a minute
 _LONGEST_REST_S = 600.0
 """`grant_grace` ends pauses of jobs that would last longer than this, seconds. Normal pauses are shorter."""
 

@@ -3,6 +3,8 @@
 A host with a strike gets one job at a time; each episode that it delivers halves its strikes. A failure is attributed
 to the job only if the job failed on `budget.crashes` hosts, on all available hosts (at least two), or for a long time
 on the only host. Until then it is attributed to the host.
+
+Design: docs/design/jobs.md#failures-count-against-the-host-first.
 """
 
 from __future__ import annotations
@@ -175,7 +177,6 @@ def _failing_hosts(connection: Connection, job: JobRow) -> set[str]:
 
 
 def is_alone(connection: Connection, host: str, now: datetime) -> bool:
-    """Returns whether no other host is available."""
     return not _others(connection, {host}, now)
 
 

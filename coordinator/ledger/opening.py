@@ -228,7 +228,6 @@ def insert_planned(connection: Connection, planned: Iterable[PlannedJob], now: d
 
 
 def planned_of(row: Row[Any]) -> PlannedJob:
-    """Returns the planned draw in a row of `jobs`."""
     return PlannedJob(row.idx, row.draw, EpisodeSpec.of(row))
 
 

@@ -197,7 +197,7 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
     return True
 
 
-def is_owned(connection: Connection, index: int) -> bool:
+def is_recorded(connection: Connection, index: int) -> bool:
     """Returns whether the ledger records the episode in the coordinator's directory; its file must then be kept."""
     return _STORED_BY_COORDINATOR.first(connection, {"index": index}) is not None
 
@@ -257,6 +257,7 @@ def _record_task_failure(
     if has_successor and row.tier == BUILD:
         insert_next_seed(connection, row, now, row.attempt + 1)
     elif has_successor:
+        # a new row, because the row of the failed draw keeps its target and the reasons of its attempts
         insert_planned(connection, [successor(planned_of(row))], now, attempt=row.attempt + 1)
     return True
 

@@ -61,7 +61,6 @@ class RunLedger(Closing):
             raise
 
     def progress(self) -> Progress:
-        """Returns the progress of the run."""
         with self.reading() as connection:
             return read_progress(connection, self._clock())
 

@@ -54,6 +54,7 @@ jobs = Table(
     Column("instruction", Text, nullable=False),
     Column("state", String(16), nullable=False),
     Column("superseded", Boolean, nullable=False, default=False, comment="a later draw of the episode exists"),
+    # Design: docs/design/jobs.md#attempts-and-fences.
     Column("attempt", Integer, nullable=False, default=1, comment="attempt that is running, or that a claim starts"),
     Column("misses", Integer, nullable=False, default=0, comment="task failures of this draw"),
     Column("crashes", Integer, nullable=False, default=0, comment="worker failures"),

@@ -1,6 +1,7 @@
 """Counts jobs by state and cell, and attempts by outcome, with database triggers.
 
 The counts change in the transaction of each change. Therefore reading them takes the same time for any number of jobs.
+Counters in the functions of the ledger would be wrong as soon as a new statement does not update them.
 """
 
 from __future__ import annotations

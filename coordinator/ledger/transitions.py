@@ -41,12 +41,10 @@ _INSERT_ATTEMPT = PreparedStatement(insert(attempts))
 
 
 def lease_parameters(lease: Lease) -> dict[str, Any]:
-    """Returns the parameters of `UNDER_LEASE`."""
     return {"of_job": lease.job_id, "of_fence": lease.fence, "of_token": lease.token}
 
 
 def is_in(*states: JobState) -> ColumnElement[bool]:
-    """Returns the condition that a job is in one of the states."""
     return or_(*(jobs.c.state == state for state in states))  # IN does not support executemany
 
 

@@ -1,7 +1,7 @@
 """Quarantines or cancels the unfinished jobs of a finished shard in the ledger of a joined run.
 
 The tables of a shard list its failed attempts, but not the states of its jobs. If the shard is finished, a job without
-an episode was quarantined or cancelled there.
+an episode was quarantined or cancelled there. States of jobs in the tables would change the format of datasets.
 """
 
 from __future__ import annotations

@@ -1,14 +1,10 @@
-"""Bundles on their way into the archive: announced, to be transferred, to be validated. Transfers and reads nothing."""
+"""Bundle on its way into the archive: announced by a worker, fetched into a part file. Transfers nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from pathlib import Path
-from typing import NamedTuple, TypeVar
 
-from schemas.errors import InvalidBundle
+from coordinator.archive.contract import PartFile
 from schemas.job import Job
 from schemas.protocol.messages import Lease
 from schemas.scene import Target
@@ -26,9 +22,12 @@ class BuildJob:
     """Place of the layout in `plan.parts`."""
 
 
-@dataclass(frozen=True)
-class Pull:
-    """Announced bundle in a worker's spool: an episode, or the package of a layout."""
+@dataclass(eq=False)
+class IncomingBundle:
+    """Announced bundle in a worker's spool, an episode or the package of a layout, and its transfer so far.
+
+    The transfer may take several turns.
+    """
 
     lease: Lease
     """Lease of the job."""
@@ -46,47 +45,38 @@ class Pull:
     """zenoh id of the router that the worker is connected to; `None` if unknown."""
     is_validated: bool = False
     """Whether the worker has announced that it validated the bundle."""
+    part: PartFile | None = None
+    """Part file; `None` before the first turn."""
+    seconds: float = 0.0
+    """Transfer time so far, seconds."""
+    is_alone: bool = False
+    """Whether the bundle is fetched alone, because fetching it together with others has failed."""
+    is_refused: bool = False
+    """Whether the bundle was refused before it was complete."""
 
     @property
     def name(self) -> str:
         """Name of the episode or of the layout."""
         return self.job.layout if isinstance(self.job, BuildJob) else self.job.episode_id
 
+    @property
+    def open_part(self) -> PartFile:
+        """Part file of a started transfer."""
+        assert self.part is not None
+        return self.part
 
-class Scope(StrEnum):
-    """Part of a bundle that is validated."""
+    @property
+    def rest(self) -> int:
+        """Number of bytes to fetch."""
+        return self.size - self.open_part.size
 
-    ALL = "all"  # every frame and measurement
-    SAMPLE = "sample"  # one frame and measurement in eight; all arrays
-    CLAIM = "claim"  # container, arrays, job, target and content digest; for bundles that the worker has validated
+    def abandon(self) -> None:
+        """Deletes the part file unless it is published; a repeated announcement begins a new transfer."""
+        if self.part is not None:
+            self.part.abandon()
+        self.part, self.seconds, self.is_refused = None, 0.0, False
 
-
-R = TypeVar("R")
-
-
-class BundleFile(NamedTuple):
-    """Bundle to validate."""
-
-    path: Path
-    """Path of the bundle, usually a part file."""
-    job: Job
-    """Leased job."""
-    candidates: tuple[Target, ...] = ()
-    """Targets of the compiled scene that the episode may have; if empty, they are not compared."""
-    scope: Scope = Scope.ALL
-    """Part of the bundle that is read."""
-    sha256: str | None = None
-    """SHA-256 of the file, if this process has computed it; otherwise the validator does."""
-
-
-def check_each(
-    check: Callable[[Path, Job, tuple[Target, ...], Scope], R], files: Sequence[BundleFile]
-) -> list[R | InvalidBundle]:
-    """Validates bundles one after another; returns the result or the violations of each."""
-    found: list[R | InvalidBundle] = []
-    for file in files:
-        try:
-            found.append(check(file.path, file.job, file.candidates, file.scope))
-        except InvalidBundle as error:
-            found.append(error)
-    return found
+    def restart(self) -> None:
+        """Deletes the part file; the next turn fetches the bundle from its beginning, without other bundles."""
+        self.abandon()
+        self.is_alone = True

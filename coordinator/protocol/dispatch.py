@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from schemas.protocol.keys import host_of
 
 _OF_ONE_HOST = 4
@@ -31,30 +31,34 @@ class Dispatch:
         clock: monotonic clock, seconds.
     """
 
-    def __init__(self, pull_here: Callable[[Pull], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, pull_here: Callable[[IncomingBundle], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._pull_here = pull_here
         self._clock = clock
         self._guard = threading.Lock()
         self._gateways: dict[str, str] = {}
         """Mapping of zenoh router id to gateway name."""
-        self._orders: dict[str, dict[int, Pull]] = {}
+        self._orders: dict[str, dict[int, IncomingBundle]] = {}
         """Mapping of gateway to its orders by episode number."""
         self._heard: dict[str, float] = {}
         """Mapping of gateway to the time of its last request, oldest first."""
 
-    def offer(self, pull: Pull) -> None:
+    def offer(self, bundle: IncomingBundle) -> None:
         """Assigns a bundle to a gateway or to the coordinator, and withdraws an earlier assignment."""
-        index = pull.job.index
+        index = bundle.job.index
+        # the gateway whose router the worker names: zenoh's target BEST_MATCHING distributes queries unevenly, and
+        # gateways that claim bundles in the ledger would need timers that detect lost gateways
         with self._guard:
-            gateway = self._gateways.get(pull.via or "")
+            gateway = self._gateways.get(bundle.via or "")
             for orders in self._orders.values():
                 orders.pop(index, None)
             if gateway is not None:
-                self._orders[gateway][index] = pull
+                self._orders[gateway][index] = bundle
         if gateway is None:
-            self._pull_here(pull)
+            self._pull_here(bundle)
 
-    def take(self, gateway: str, router: str, most: int, busy: Collection[str] = ()) -> tuple[Pull, ...]:
+    def take(self, gateway: str, router: str, most: int, busy: Collection[str] = ()) -> tuple[IncomingBundle, ...]:
         """Removes and returns orders of a gateway, oldest first.
 
         Args:
@@ -87,12 +91,12 @@ class Dispatch:
         self._gateways = {known: name for known, name in self._gateways.items() if name != gateway}
 
 
-def _choose(orders: Mapping[int, Pull], most: int, busy: Collection[str]) -> list[int]:
+def _choose(orders: Mapping[int, IncomingBundle], most: int, busy: Collection[str]) -> list[int]:
     """Returns the oldest orders, limited in total and per host."""
     chosen: list[int] = []
     by_host = Counter(dict.fromkeys(busy, _OF_ONE_HOST))
-    for index, pull in orders.items():
-        host = host_of(pull.sid)
+    for index, bundle in orders.items():
+        host = host_of(bundle.sid)
         if len(chosen) < most and by_host[host] < _OF_ONE_HOST:
             by_host[host] += 1
             chosen.append(index)

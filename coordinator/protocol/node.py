@@ -69,7 +69,6 @@ class ZenohNode(Closing):
 
     @property
     def is_open(self) -> bool:
-        """Whether the session is open."""
         return not self._session.is_closed()
 
     @property

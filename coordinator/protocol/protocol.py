@@ -23,7 +23,7 @@ from coordinator.ledger.builds import number_of_layout, order_of
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.tables import BUILD
-from coordinator.protocol.bundles import BuildJob, Pull
+from coordinator.protocol.bundles import BuildJob, IncomingBundle
 from schemas.base import Model
 from schemas.exchangeable import candidates_of
 from schemas.job import Job
@@ -114,7 +114,7 @@ class ProtocolAnswer:
 
     reply: Model
     """Reply to the requester."""
-    pulls: tuple[Pull, ...] = ()
+    bundles: tuple[IncomingBundle, ...] = ()
     """Bundles to pull."""
 
 
@@ -255,15 +255,15 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
         finished=is_idle and not claims.has_open_jobs(connection),
     )
     unpulled = (row for row in outcome.waiting if not terms.is_pulled(row.idx))
-    return ProtocolAnswer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in unpulled))
+    return ProtocolAnswer(reply, tuple(_bundle_of(row, beat.sid, beat.via, terms) for row in unpulled))
 
 
 def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
     accepted, waiting = outcomes.announce(connection, done, now, terms.lease_ttl_s)
-    pulls = (
-        (_pull_of(waiting, done.sid, done.via, terms, is_validated=done.is_validated),) if waiting is not None else ()
+    bundles = (
+        (_bundle_of(waiting, done.sid, done.via, terms, is_validated=done.is_validated),) if waiting is not None else ()
     )
-    return ProtocolAnswer(Ack(accepted=accepted), pulls)
+    return ProtocolAnswer(Ack(accepted=accepted), bundles)
 
 
 def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
@@ -278,13 +278,15 @@ def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: date
     return ProtocolAnswer(Ack(accepted=True))
 
 
-def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> Pull:
+def _bundle_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> IncomingBundle:
     if row.tier == BUILD:
         build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
-        return Pull(lease_of(row), sid, row.sha256, row.size, build, ())  # no gateway pulls the package of a layout
+        return IncomingBundle(
+            lease_of(row), sid, row.sha256, row.size, build, ()
+        )  # no gateway pulls the package of a layout
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     candidates = candidates_of(job, terms.catalog[job.scene].info)
-    return Pull(lease_of(row), sid, row.sha256, row.size, job, candidates, via, is_validated)
+    return IncomingBundle(lease_of(row), sid, row.sha256, row.size, job, candidates, via, is_validated)
 
 
 _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(

@@ -22,7 +22,7 @@ from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import jobs
 from coordinator.ledger.transitions import JobRow
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, fail_attempt
 from coordinator.protocol.relay import (
     MAX_LOST,
@@ -63,12 +63,12 @@ def serve_gateway(connection: Connection, request: ParsedRequest, terms: Terms, 
     return ProtocolAnswer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
 
 
-def orders_for(pulls: tuple[Pull, ...]) -> Orders:
+def orders_for(bundles: tuple[IncomingBundle, ...]) -> Orders:
     """Returns the message with the orders of a gateway."""
     return Orders(
         orders=tuple(
             RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, candidates=p.candidates)
-            for p in pulls
+            for p in bundles
             if isinstance(p.job, Job)  # no package of a layout is assigned to a gateway
         )
     )

@@ -197,8 +197,8 @@ class RequestHandler(Closing):
         if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
             self._meters.add(Meter.CLAIMS)
         inquiry.answer(answer.reply)
-        for pull in answer.pulls:
-            self._dispatch.offer(pull)
+        for bundle in answer.bundles:
+            self._dispatch.offer(bundle)
         if isinstance(request.message, Hello) and isinstance(answer.reply, HelloReply):
             self._note_joined(request.message)
 

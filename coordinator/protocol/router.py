@@ -116,7 +116,6 @@ class Router(Closing):
 
     @property
     def is_open(self) -> bool:
-        """Whether the session is open."""
         return self._node.is_open
 
     @property
@@ -129,7 +128,6 @@ class Router(Closing):
         return self._node.admit()
 
     def close(self) -> None:
-        """Closes the session."""
         self._node.close()
 
     def _config(self, endpoints: Sequence[str], admitted: Admitted) -> zenoh.Config:

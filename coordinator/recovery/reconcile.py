@@ -4,6 +4,8 @@ An unusable ledger is quarantined first, so a new ledger is created and rebuilt 
 
 The reconciliation runs before any other writer. If the ledger was lost or restored from an older copy, every intact
 episode of the plan is adopted. The module does not delete files that could be episodes.
+
+Design: docs/design/data.md#a-lost-ledger-is-rebuilt.
 """
 
 from __future__ import annotations
@@ -76,6 +78,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
         recorded = recorded_files(connection, digests=False)
     difference = diff_archive({index: ListedFile(path.stat().st_size) for index, path in present.items()}, recorded)
     unsure = {index: present[index] for index in difference.strays}
+    # if no validator can be started, the start ends: quarantine would discard intact episodes when memory is short
     verdicts = _validate_all(archive, engine, terms, checker, unsure, difference)
     _require_own_plan(archive, terms, verdicts, len(recorded))
     result.quarantined += [archive.quarantine(path, "its name is not that of an episode") for path in archive.foreign()]

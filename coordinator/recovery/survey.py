@@ -111,6 +111,9 @@ def failures_of(root: Place, draws: PlannedDraws) -> Iterator[FailedAttempt]:
 
 
 _SAMPLE = 25
+"""Approximate number of episodes that `count_plans` opens."""
+# the episodes of a dataset are of one run, except after a mistake, so a few of them show its plan; in object storage,
+# each is a download
 
 
 class ForeignEpisode(str):

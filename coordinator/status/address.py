@@ -113,6 +113,5 @@ def listen_on(address: HttpAddress, what: str) -> socket.socket:
 
 
 def url_of(listening: socket.socket, scheme: str = "http") -> str:
-    """Returns the URL of a listening socket."""
     host, port = listening.getsockname()[:2]
     return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"

@@ -190,5 +190,4 @@ class Pages:
 
 
 def plain_page(status: HTTPStatus, text: str) -> Page:
-    """Returns a plain text page."""
     return status, _PLAIN, f"{text.rstrip()}\n".encode()

@@ -33,7 +33,6 @@ class EpisodeSums:
     """Sum of final navigation errors, metres."""
 
     def add(self, other: EpisodeSums) -> None:
-        """Adds the sums over other episodes."""
         self.episodes += other.episodes
         self.steps += other.steps
         self.spawn_dist_m += other.spawn_dist_m

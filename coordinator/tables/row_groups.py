@@ -3,6 +3,8 @@
 pyarrow encodes each row group as a separate file; its bytes are moved into the table and the offsets in its description
 adjusted, so the file equals that of a single `pyarrow.parquet.ParquetWriter`. Bytes that this process has not written
 are not copied, because other processes can change the file.
+
+Design: docs/design/data.md#unchanged-row-groups-are-copied.
 """
 
 from __future__ import annotations

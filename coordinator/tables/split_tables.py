@@ -43,6 +43,7 @@ UNREADABLE = (pa.ArrowException, OSError, KeyError, ValueError)
 """Exceptions of reading a damaged table."""
 _SHARD_EPISODES = 10_000
 """Number of planned episodes per shard. A split with 60 % of the episodes has 6000 rows per file, about 30 MB."""
+# if the validator made the thumbnails, those of a million episodes would pass 4 GB through the ledger
 
 
 class SplitTable(NamedTuple):

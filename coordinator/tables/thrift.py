@@ -1,6 +1,8 @@
 """Decodes and encodes structures of Thrift's compact protocol, which describe the contents of a Parquet file.
 
 Keeps every field in its order, so an unchanged structure is encoded to the same bytes. Does not interpret fields.
+
+Design: docs/design/data.md#unchanged-row-groups-are-copied.
 """
 
 from __future__ import annotations

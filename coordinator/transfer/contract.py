@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from coordinator.protocol.bundles import BundleFile, Pull, Scope
+from coordinator.protocol.bundles import IncomingBundle
+from coordinator.validation.messages import Scope, ValidationTask
 from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle
 from schemas.job import Job
@@ -29,7 +30,7 @@ class BundleValidator(Protocol):
     ) -> BundleReceipt:
         """Validates the part `scope` of a bundle, or raises `InvalidBundle` or `TransientError`."""
 
-    def check_all(self, files: Sequence[BundleFile]) -> Sequence[BundleReceipt | InvalidBundle]:
+    def check_all(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> Sequence[BundleReceipt | InvalidBundle]:
         """Validates several bundles; returns a row or the violations of each, or raises `TransientError`."""
 
     def close(self) -> None:
@@ -45,15 +46,15 @@ class EpisodeValidator(BundleValidator, Protocol):
         """Validates a bundle and returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
-class Delivery(NamedTuple):
-    """Published episode, to be recorded in the ledger."""
+class ValidatedBundle(NamedTuple):
+    """Bundle without violations, to be published and recorded."""
 
-    pull: Pull
-    """Bundle of the episode."""
+    bundle: IncomingBundle
+    """Bundle of an episode."""
     receipt: BundleReceipt
     """Facts of the bundle that the ledger records."""
     is_checked: bool
-    """Whether the bundle was validated here, not only by its worker."""
+    """Whether the frames were validated here; `False` if only the worker has validated them."""
 
 
 class LedgerClient(Protocol):
@@ -62,20 +63,20 @@ class LedgerClient(Protocol):
     All methods except `refuse` are idempotent. All methods raise `TransientError` if the ledger is unavailable.
     """
 
-    def keep(self, pulls: Sequence[Pull], seconds: float) -> Sequence[bool]:
+    def keep(self, bundles: Sequence[IncomingBundle], seconds: float) -> Sequence[bool]:
         """Extends each lease to at least `seconds` from now; returns for each lease whether it is in force."""
 
-    def is_owned(self, index: int) -> bool:
+    def is_recorded(self, index: int) -> bool:
         """Returns whether the ledger records the stored episode, so its file must not be deleted."""
 
-    def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
+    def record_archived(self, bundles: Sequence[ValidatedBundle]) -> Sequence[bool]:
         """Records published episodes whose leases are in force; returns for each whether its file is recorded."""
 
-    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
+    def refuse(self, bundle: IncomingBundle, detail: str, *, is_false: bool = False) -> None:
         """Reports a bundle that failed validation.
 
         Args:
-            pull: bundle.
+            bundle: bundle.
             detail: reason.
             is_false: whether the worker has announced the bundle as valid, so its host is barred.
         """

@@ -2,6 +2,8 @@
 
 A bundle that its worker has validated is validated without its frames, except in a spot check. A worker cannot predict
 which of its bundles are checked: the draw depends on a secret of this process and on the announced digest.
+
+Design: docs/design/protocol.md#spot-checks.
 """
 
 from __future__ import annotations
@@ -10,15 +12,16 @@ import hmac
 import secrets
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import structlog
 
-from coordinator.archive.contract import Archive, Staged
+from coordinator.archive.contract import Archive
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.bundles import BuildJob, BundleFile, Pull, Scope
-from coordinator.transfer.contract import BundleValidator, Delivery, LedgerClient
+from coordinator.protocol.bundles import BuildJob, IncomingBundle
+from coordinator.transfer.contract import BundleValidator, LedgerClient, ValidatedBundle
 from coordinator.transfer.refusals import Refusals
+from coordinator.validation.messages import Scope, ValidationTask
 from schemas.dataset.rows import BundleReceipt
 from schemas.errors import FactoryError, InvalidBundle
 from schemas.job import episode_id
@@ -26,24 +29,6 @@ from schemas.protocol.keys import host_of
 
 if TYPE_CHECKING:
     from coordinator.transfer.layouts import LayoutStore
-
-
-class Arrival(NamedTuple):
-    """Announced bundle whose file has been transferred or linked."""
-
-    pull: Pull
-    """Announced bundle."""
-    staged: Staged
-    """Complete part file."""
-
-
-class ValidatedBundle(NamedTuple):
-    """Result of the validation of a bundle without violations."""
-
-    receipt: BundleReceipt
-    """Row of the episode."""
-    is_checked: bool
-    """Whether the frames were validated here; `False` if only the worker has validated them."""
 
 
 class SpotCheckedValidation:
@@ -67,45 +52,51 @@ class SpotCheckedValidation:
         """Whether bundles of a host may be validated without their frames, by host: `True` after a bundle that was
         validated completely and is valid, always `False` after an invalid bundle. Other hosts have no entry."""
 
-    def validate(self, arrivals: Sequence[Arrival]) -> list[ValidatedBundle | InvalidBundle]:
-        """Validates bundles; returns the result or the violations of each.
+    def validate(self, bundles: Sequence[IncomingBundle]) -> list[ValidatedBundle | InvalidBundle]:
+        """Validates complete bundles; returns the result or the violations of each.
 
         Raises:
             TransientError: the bundles cannot be validated now.
         """
-        files, started = [self._file_of(arrival) for arrival in arrivals], time.monotonic()
-        receipts = self._checker.check_all(files)
-        self._meters.add(Meter.VALIDATIONS, len(files))
+        tasks, started = [self._task_of(bundle) for bundle in bundles], time.monotonic()
+        receipts = self._checker.check_all(
+            [(bundle.open_part.path, task) for bundle, task in zip(bundles, tasks, strict=True)]
+        )
+        self._meters.add(Meter.VALIDATIONS, len(bundles))
         self._meters.add(Meter.VALIDATION_S, time.monotonic() - started)
         return [
-            self._result_of(pull, file.scope, receipt)
-            for (pull, _), file, receipt in zip(arrivals, files, receipts, strict=True)
+            self._result_of(bundle, task.scope, receipt)
+            for bundle, task, receipt in zip(bundles, tasks, receipts, strict=True)
         ]
 
-    def _file_of(self, arrival: Arrival) -> BundleFile:
-        pull, staged = arrival
-        if isinstance(pull.job, BuildJob):
-            raise TypeError(f"{pull.name} is the package of a layout")
-        scope = Scope.SAMPLE if staged.is_linked else self._scope(pull)
-        return BundleFile(staged.path, pull.job, pull.candidates, scope, None if staged.is_linked else staged.sha256)
+    def _task_of(self, bundle: IncomingBundle) -> ValidationTask:
+        if isinstance(bundle.job, BuildJob):
+            raise TypeError(f"{bundle.name} is the package of a layout")
+        is_linked = bundle.open_part.is_linked
+        return ValidationTask(
+            job=bundle.job,
+            candidates=bundle.candidates,
+            scope=Scope.SAMPLE if is_linked else self._scope(bundle),
+            sha256=None if is_linked else bundle.open_part.sha256,
+        )
 
     def _result_of(
-        self, pull: Pull, scope: Scope, receipt: BundleReceipt | InvalidBundle
+        self, bundle: IncomingBundle, scope: Scope, receipt: BundleReceipt | InvalidBundle
     ) -> ValidatedBundle | InvalidBundle:
-        host = host_of(pull.sid)
+        host = host_of(bundle.sid)
         if isinstance(receipt, InvalidBundle):
             self._is_trusted[host] = False
             return receipt
-        if pull.is_validated and scope is Scope.ALL:
+        if bundle.is_validated and scope is Scope.ALL:
             self._is_trusted.setdefault(host, True)
-        return ValidatedBundle(receipt, scope is not Scope.CLAIM)
+        return ValidatedBundle(bundle, receipt, scope is not Scope.CLAIM)
 
-    def _scope(self, pull: Pull) -> Scope:
-        trusts = self._share is not None and pull.is_validated and self._is_trusted.get(host_of(pull.sid), False)
-        return Scope.CLAIM if trusts and not self._is_drawn(pull) else Scope.ALL
+    def _scope(self, bundle: IncomingBundle) -> Scope:
+        trusts = self._share is not None and bundle.is_validated and self._is_trusted.get(host_of(bundle.sid), False)
+        return Scope.CLAIM if trusts and not self._is_drawn(bundle) else Scope.ALL
 
-    def _is_drawn(self, pull: Pull) -> bool:
-        text = f"{pull.lease.job_id} {pull.lease.fence} {pull.sha256}"
+    def _is_drawn(self, bundle: IncomingBundle) -> bool:
+        text = f"{bundle.lease.job_id} {bundle.lease.fence} {bundle.sha256}"
         drawn = int.from_bytes(hmac.digest(self._secret, text.encode(), "sha256")[:8], "big")
         return drawn < (self._share or 0.0) * 2**64
 
@@ -139,81 +130,80 @@ class Deliverer:
         refusals: Refusals,
         meters: Meters,
         on_archived: Callable[[], None],
-        on_failure: Callable[[Pull, FactoryError], None],
+        on_failure: Callable[[IncomingBundle, FactoryError], None],
         layouts: LayoutStore | None,
     ) -> None:
         self._archive, self._ledger, self._validation = archive, ledger, validation
         self._refusals, self._meters, self._layouts = refusals, meters, layouts
         self._on_archived, self._on_failure = on_archived, on_failure
 
-    def deliver(self, arrivals: Sequence[Arrival]) -> None:
-        """Validates, publishes and records bundles as a group; refuses invalid bundles.
+    def deliver(self, bundles: Sequence[IncomingBundle]) -> None:
+        """Validates, publishes and records complete bundles as a group; refuses invalid bundles.
 
         Raises:
             TransientError: the bundles cannot be validated or recorded now.
             WorldError: the disk is full or unavailable.
         """
-        whole = [arrival for arrival in arrivals if self._is_whole(arrival)]
+        whole = [bundle for bundle in bundles if self._is_whole(bundle)]
         if not whole:
             return
-        self._ledger.keep([arrival.pull for arrival in whole], _VALIDATION_S)
-        episodes = [arrival for arrival in whole if not self._store_layout(arrival)]
+        self._ledger.keep(whole, _VALIDATION_S)
+        episodes = [bundle for bundle in whole if not self._store_layout(bundle)]
         if episodes:
             self._publish(list(self._valid(episodes)))
 
-    def _is_whole(self, arrival: Arrival) -> bool:
+    def _is_whole(self, bundle: IncomingBundle) -> bool:
         """Returns whether the file has the announced digest; refuses the bundle if not.
 
         A linked file is accepted, because the digest that the validator computes is compared later.
         """
-        pull, staged = arrival
-        return staged.is_linked or self._is_announced(pull, staged.sha256)
+        return bundle.open_part.is_linked or self._is_announced(bundle, bundle.open_part.sha256)
 
-    def _is_announced(self, pull: Pull, sha256: str) -> bool:
+    def _is_announced(self, bundle: IncomingBundle, sha256: str) -> bool:
         """Returns whether the digest of a bundle is the announced digest; refuses the bundle if not."""
-        if sha256 != pull.sha256:
-            self._refusals.refuse(pull, f"SHA-256 {sha256} arrived, {pull.sha256} was announced")
-        return sha256 == pull.sha256
+        if sha256 != bundle.sha256:
+            self._refusals.refuse(bundle, f"SHA-256 {sha256} arrived, {bundle.sha256} was announced")
+        return sha256 == bundle.sha256
 
-    def _store_layout(self, arrival: Arrival) -> bool:
+    def _store_layout(self, bundle: IncomingBundle) -> bool:
         """Stores or refuses the package of a layout; returns `False` if the bundle is an episode."""
-        pull, staged = arrival
-        if not isinstance(pull.job, BuildJob):
+        if not isinstance(bundle.job, BuildJob):
             return False
         if self._layouts is None:
-            raise TypeError(f"no store for the package of {pull.job.layout}")
+            raise TypeError(f"no store for the package of {bundle.job.layout}")
         try:
-            self._layouts.receive(pull, pull.job, staged)
+            self._layouts.receive(bundle, bundle.job)
         except InvalidBundle as error:
-            self._refusals.refuse(pull, str(error))
+            self._refusals.refuse(bundle, str(error))
         return True
 
-    def _valid(self, arrivals: Sequence[Arrival]) -> Iterator[tuple[Arrival, ValidatedBundle]]:
+    def _valid(self, bundles: Sequence[IncomingBundle]) -> Iterator[ValidatedBundle]:
         """Validates episodes and yields the valid ones; the others are refused."""
-        for arrival, result in zip(arrivals, self._validation.validate(arrivals), strict=True):
-            pull, staged = arrival
+        for bundle, result in zip(bundles, self._validation.validate(bundles), strict=True):
             if isinstance(result, InvalidBundle):
-                self._refusals.refuse(pull, str(result), is_false=pull.is_validated)
-            elif not staged.is_linked or self._is_announced(pull, result.receipt.file_sha256):
-                yield arrival, result
+                self._refusals.refuse(bundle, str(result), is_false=bundle.is_validated)
+            elif not bundle.open_part.is_linked or self._is_announced(bundle, result.receipt.file_sha256):
+                yield result
 
-    def _publish(self, valid: Sequence[tuple[Arrival, ValidatedBundle]]) -> None:
-        failed = self._archive.publish_all({pull.job.index: staged for (pull, staged), _ in valid})
-        deliveries = []
-        for (pull, _), (receipt, is_checked) in valid:
-            if pull.job.index in failed:
-                self._on_failure(pull, failed[pull.job.index])
+    def _publish(self, valid: Sequence[ValidatedBundle]) -> None:
+        failed = self._archive.publish_all({bundle.job.index: bundle.open_part for bundle, _, _ in valid})
+        published = []
+        for validated in valid:
+            bundle = validated.bundle
+            if bundle.job.index in failed:
+                self._on_failure(bundle, failed[bundle.job.index])
             else:
-                deliveries.append(Delivery(pull, receipt, is_checked))
-        if deliveries:
-            for delivery, is_owned in zip(deliveries, self._ledger.own(deliveries), strict=True):
-                self._conclude(delivery, is_owned=is_owned)
+                published.append(validated)
+        if published:
+            for validated, is_recorded in zip(published, self._ledger.record_archived(published), strict=True):
+                self._conclude(validated, is_recorded=is_recorded)
 
-    def _conclude(self, delivery: Delivery, *, is_owned: bool) -> None:
-        index = delivery.pull.job.index
-        if not is_owned:  # the lease was lost meanwhile, and no other worker delivered the episode
+    def _conclude(self, validated: ValidatedBundle, *, is_recorded: bool) -> None:
+        index = validated.bundle.job.index
+        if not is_recorded:  # the lease was lost meanwhile, and no other worker delivered the episode
             self._archive.unpublish(index)
             return
         self._meters.add(Meter.ARCHIVED)
-        log.info("archived", episode=episode_id(index), worker=delivery.pull.sid, steps=delivery.receipt.num_steps)
+        worker, steps = validated.bundle.sid, validated.receipt.num_steps
+        log.info("archived", episode=episode_id(index), worker=worker, steps=steps)
         self._on_archived()

@@ -18,6 +18,7 @@ def _never(_turn: Sequence[Any], _item: object) -> bool:
     return False
 
 
+# more threads cannot replace turns, because slow hosts can occupy any number of threads
 class FairQueue(Generic[T]):
     """Thread-safe fair queue.
 
@@ -40,7 +41,6 @@ class FairQueue(Generic[T]):
         self._is_open = True
 
     def put(self, owner: str, item: T) -> None:
-        """Appends an item."""
         with self._changed:
             self._served.setdefault(owner, min(self._served.values(), default=0.0))
             self._waiting.setdefault(owner, deque()).append(item)

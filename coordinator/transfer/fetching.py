@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import structlog
 
-from coordinator.archive.contract import Archive, Staged
+from coordinator.archive.contract import Archive
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.bundles import BuildJob, Pull
+from coordinator.protocol.bundles import BuildJob, IncomingBundle
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import FindLocalBundle, LedgerClient
 from coordinator.transfer.refusals import Refusals
@@ -29,6 +29,7 @@ _FAILURES = 5
 """Number of failed transfers after which a bundle may be refused."""
 _SMALL_BYTES = 64 << 10
 """Largest size of a bundle that is fetched together with others, bytes."""
+# for small bundles, requests, commits and syncs take most of the time, not the bytes
 _TOGETHER = 32
 """Largest number of bundles that are fetched, validated and recorded together."""
 assert _TOGETHER <= MAX_RANGES
@@ -37,43 +38,6 @@ log = structlog.get_logger(__name__)
 
 Fetch = Callable[[str, Sequence[BundleRange]], bytes]
 """Function that requests ranges of the bundles of a session, or raises `TransientError`."""
-
-
-@dataclass(eq=False)
-class Transfer:
-    """Transfer of a bundle, which may take several turns."""
-
-    pull: Pull
-    """Announced bundle."""
-    staged: Staged | None = None
-    """Part file; `None` before the first turn."""
-    seconds: float = 0.0
-    """Transfer time so far, seconds."""
-    is_alone: bool = False
-    """Whether the bundle is fetched alone, because fetching it together with others has failed."""
-    is_refused: bool = False
-    """Whether the bundle was refused before it was complete."""
-
-    @property
-    def open_file(self) -> Staged:
-        """Part file of a started transfer."""
-        assert self.staged is not None
-        return self.staged
-
-    @property
-    def rest(self) -> int:
-        """Number of bytes to fetch."""
-        return self.pull.size - self.open_file.size
-
-    def abandon(self) -> None:
-        """Deletes the part file unless it is published."""
-        if self.staged is not None:
-            self.staged.abandon()
-
-    def restart(self) -> None:
-        """Deletes the part file; the next turn fetches the bundle from its beginning, without other bundles."""
-        self.abandon()
-        self.staged, self.is_alone = None, True
 
 
 @dataclass
@@ -126,40 +90,40 @@ class Fetcher:
         self._failed: dict[int, _Failures] = {}
         """Mapping of episode number to the failed transfers of its bundle."""
 
-    def joins(self, turn: Sequence[Transfer], transfer: Transfer) -> bool:
+    def joins(self, turn: Sequence[IncomingBundle], bundle: IncomingBundle) -> bool:
         """Returns whether a bundle can be fetched in one request with the bundles of a turn.
 
         All bundles must be small and belong to the same session of a worker.
         """
-        size = sum(each.pull.size for each in turn) + transfer.pull.size
+        size = sum(each.size for each in turn) + bundle.size
         return (
             len(turn) < _TOGETHER
             and size <= self._settings.chunk_bytes
-            and turn[0].pull.sid == transfer.pull.sid
+            and turn[0].sid == bundle.sid
             and _is_small(turn[0])
-            and _is_small(transfer)
+            and _is_small(bundle)
         )
 
-    def begin(self, turn: Sequence[Transfer]) -> list[Transfer]:
+    def begin(self, turn: Sequence[IncomingBundle]) -> list[IncomingBundle]:
         """Opens part files for the bundles of a turn that are still needed, and returns these bundles.
 
         Raises:
             TransientError: there is too little free space, or the ledger is unavailable.
             WorldError: the disk is full or unavailable.
         """
-        fresh = [transfer for transfer in turn if transfer.staged is None]
+        fresh = [bundle for bundle in turn if bundle.part is None]
         if not fresh:
             return list(turn)
-        held = self._ledger.keep([transfer.pull for transfer in fresh], self._settings.lease_ttl_s)
-        wanted = [transfer for transfer, is_held in zip(fresh, held, strict=True) if is_held and self._wants(transfer)]
+        held = self._ledger.keep(fresh, self._settings.lease_ttl_s)
+        wanted = [bundle for bundle, is_held in zip(fresh, held, strict=True) if is_held and self._wants(bundle)]
         if wanted:
-            self._require_free_space([transfer.pull for transfer in wanted])
-        for transfer in wanted:
-            transfer.staged = self._archive.stage(transfer.pull.job.index)
-            self._link_local_bundle(transfer.pull, transfer.staged)
+            self._require_free_space(wanted)
+        for bundle in wanted:
+            bundle.part = self._archive.stage(bundle.job.index)
+            self._link_local_bundle(bundle)
         return wanted
 
-    def fetch(self, host: str, turn: Sequence[Transfer]) -> list[Transfer]:
+    def fetch(self, host: str, turn: Sequence[IncomingBundle]) -> list[IncomingBundle]:
         """Fetches the bundles of a turn; returns those that are complete.
 
         A bundle that is fetched alone may need several turns; until the last turn it is neither returned nor refused.
@@ -168,27 +132,26 @@ class Fetcher:
             TransientError: the worker does not serve the bundles, or the coordinator is closing.
             WorldError: the disk is full or unavailable.
         """
-        missing = [transfer for transfer in turn if transfer.rest]
+        missing = [bundle for bundle in turn if bundle.rest]
         if len(missing) > 1:
             self._fetch_together(missing)
         elif missing and self._fetch_in_chunks(host, missing[0]) and missing[0].rest:
             self._refuse_slow(missing[0])
-        complete = [transfer for transfer in turn if not transfer.rest]
-        self._forget_failures([transfer.pull for transfer in complete])
+        complete = [bundle for bundle in turn if not bundle.rest]
+        self._forget_failures(complete)
         return complete
 
-    def forget(self, transfers: Sequence[Transfer]) -> None:
+    def forget(self, bundles: Sequence[IncomingBundle]) -> None:
         """Frees the space that is reserved for bundles whose transfer has ended."""
         with self._guard:
-            for transfer in transfers:
-                self._rest.pop(transfer.pull.job.index, None)
+            for bundle in bundles:
+                self._rest.pop(bundle.job.index, None)
 
-    def _wants(self, transfer: Transfer) -> bool:
-        pull = transfer.pull
-        if not self._prepare_destination(pull.job.index):
+    def _wants(self, bundle: IncomingBundle) -> bool:
+        if not self._prepare_destination(bundle.job.index):
             return False
-        if pull.size > MAX_BUNDLE_BYTES:
-            self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
+        if bundle.size > MAX_BUNDLE_BYTES:
+            self._refuse(bundle, f"{bundle.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
             return False
         return True
 
@@ -196,63 +159,64 @@ class Fetcher:
         """Removes a file that an unfinished commit left at the episode's path; returns whether the path is free."""
         if not self._archive.path_of(index).exists():
             return True
-        if self._ledger.is_owned(index):
+        if self._ledger.is_recorded(index):
             return False
         self._archive.unpublish(index)
         return True
 
-    def _require_free_space(self, pulls: Sequence[Pull]) -> None:
+    def _require_free_space(self, bundles: Sequence[IncomingBundle]) -> None:
         with self._guard:
-            size, to_come = sum(pull.size for pull in pulls), sum(self._rest.values())
+            size, to_come = sum(bundle.size for bundle in bundles), sum(self._rest.values())
             free, wanted = self._archive.free_bytes(), size + to_come + self._settings.reserve_bytes
             if free < wanted:
                 raise TransientError(
                     f"{free} bytes are free, but {wanted} are required for the bundles, for {to_come} bytes of other "
                     "transfers and for the reserve: free some space"
                 )
-            self._rest.update((pull.job.index, pull.size) for pull in pulls)
+            self._rest.update((bundle.job.index, bundle.size) for bundle in bundles)
 
-    def _link_local_bundle(self, pull: Pull, staged: Staged) -> None:
+    def _link_local_bundle(self, bundle: IncomingBundle) -> None:
         """Makes the part file a hard link to the bundle, if possible, so the bundle need not be transferred."""
+        # finds bundles in the spool of this run only: a path that comes over the network is not trusted
         try:
-            source = self._find_local_bundle(pull.lease)
-            if source is not None and source.stat().st_size == pull.size:
-                staged.link(source)
+            source = self._find_local_bundle(bundle.lease)
+            if source is not None and source.stat().st_size == bundle.size:
+                bundle.open_part.link(source)
         except OSError as error:
-            log.debug("fetched_instead", episode=pull.name, error=str(error))
+            log.debug("fetched_instead", episode=bundle.name, error=str(error))
 
-    def _fetch_together(self, transfers: Sequence[Transfer]) -> None:
+    def _fetch_together(self, bundles: Sequence[IncomingBundle]) -> None:
         """Fetches several bundles of one session in one request."""
         self._require_open()
-        ranges = [_range_of(transfer.pull, 0, transfer.pull.size) for transfer in transfers]
-        data = memoryview(self._fetch(transfers[0].pull.sid, ranges))
+        ranges = [_range_of(bundle, 0, bundle.size) for bundle in bundles]
+        data = memoryview(self._fetch(bundles[0].sid, ranges))
         self._meters.add(Meter.PULLED_BYTES, len(data))
-        for transfer in transfers:
-            transfer.open_file.write(data[: transfer.pull.size])
-            data = data[transfer.pull.size :]
-        self.forget(transfers)
+        for bundle in bundles:
+            bundle.open_part.write(data[: bundle.size])
+            data = data[bundle.size :]
+        self.forget(bundles)
 
-    def _fetch_in_chunks(self, host: str, transfer: Transfer) -> bool:
+    def _fetch_in_chunks(self, host: str, bundle: IncomingBundle) -> bool:
         """Fetches chunks for one turn. Returns whether the transfer has ended, because it is complete or too slow."""
-        pull, staged, started = transfer.pull, transfer.open_file, time.monotonic()
-        earlier_s = transfer.seconds
-        while staged.size < pull.size:
+        part, started = bundle.open_part, time.monotonic()
+        earlier_s = bundle.seconds
+        while part.size < bundle.size:
             self._require_open()
-            length = min(self._settings.chunk_bytes, transfer.rest)
+            length = min(self._settings.chunk_bytes, bundle.rest)
             try:
-                data = self._fetch(pull.sid, [_range_of(pull, staged.size, length)])
+                data = self._fetch(bundle.sid, [_range_of(bundle, part.size, length)])
             except TransientError:
-                self._record_failure(pull, staged.size)
+                self._record_failure(bundle, part.size)
                 raise
             self._meters.add(Meter.PULLED_BYTES, len(data))
-            staged.write(data)
+            part.write(data)
             with self._guard:
-                self._rest[pull.job.index] = transfer.rest
+                self._rest[bundle.job.index] = bundle.rest
             turn_s = time.monotonic() - started
-            transfer.seconds = earlier_s + turn_s
-            if transfer.seconds > self._settings.slow_start_s + staged.size / self._settings.min_bytes_per_s:
+            bundle.seconds = earlier_s + turn_s
+            if bundle.seconds > self._settings.slow_start_s + part.size / self._settings.min_bytes_per_s:
                 return True
-            if turn_s > _TURN_S and transfer.rest and self._has_others(host):
+            if turn_s > _TURN_S and bundle.rest and self._has_others(host):
                 return False
         return True
 
@@ -260,45 +224,45 @@ class Fetcher:
         if self._stop.is_set():
             raise TransientError("the coordinator is closing; the bundle waits in its spool")
 
-    def _record_failure(self, pull: Pull, size: int) -> None:
+    def _record_failure(self, bundle: IncomingBundle, size: int) -> None:
         """Records a failed transfer. After several failures below the least transfer rate, refuses the bundle."""
         now = time.monotonic()
         with self._guard:
-            failures = self._failed.get(pull.job.index)
-            if failures is None or failures.lease != pull.lease:
-                failures = self._failed[pull.job.index] = _Failures(pull.lease, now)
+            failures = self._failed.get(bundle.job.index)
+            if failures is None or failures.lease != bundle.lease:
+                failures = self._failed[bundle.job.index] = _Failures(bundle.lease, now)
             failures.count += 1
             failures.most_bytes = max(failures.most_bytes, size)
         limit_s = self._settings.slow_start_s + failures.most_bytes / self._settings.min_bytes_per_s
         if failures.count >= _FAILURES and now - failures.since > limit_s:
             self._refuse(
-                pull,
-                f"not served: {failures.most_bytes} of {pull.size} bytes in {failures.count} transfers over "
+                bundle,
+                f"not served: {failures.most_bytes} of {bundle.size} bytes in {failures.count} transfers over "
                 f"{now - failures.since:.0f} s, while its worker was alive",
             )
 
-    def _refuse_slow(self, transfer: Transfer) -> None:
-        transfer.is_refused = True
+    def _refuse_slow(self, bundle: IncomingBundle) -> None:
+        bundle.is_refused = True
         self._refuse(
-            transfer.pull,
-            f"too slow: {transfer.open_file.size} of {transfer.pull.size} bytes in {transfer.seconds:.0f} s; a worker "
+            bundle,
+            f"too slow: {bundle.open_part.size} of {bundle.size} bytes in {bundle.seconds:.0f} s; a worker "
             f"has to serve {self._settings.min_bytes_per_s:.0f} bytes per second",
         )
 
-    def _refuse(self, pull: Pull, detail: str) -> None:
-        self._forget_failures([pull])
-        self._refusals.refuse(pull, detail)
+    def _refuse(self, bundle: IncomingBundle, detail: str) -> None:
+        self._forget_failures([bundle])
+        self._refusals.refuse(bundle, detail)
 
-    def _forget_failures(self, pulls: Sequence[Pull]) -> None:
+    def _forget_failures(self, bundles: Sequence[IncomingBundle]) -> None:
         with self._guard:
-            for pull in pulls:
-                self._failed.pop(pull.job.index, None)
+            for bundle in bundles:
+                self._failed.pop(bundle.job.index, None)
 
 
-def _is_small(transfer: Transfer) -> bool:
-    is_first_turn = transfer.staged is None and not transfer.is_alone
-    return is_first_turn and transfer.pull.size <= _SMALL_BYTES and not isinstance(transfer.pull.job, BuildJob)
+def _is_small(bundle: IncomingBundle) -> bool:
+    is_first_turn = bundle.part is None and not bundle.is_alone
+    return is_first_turn and bundle.size <= _SMALL_BYTES and not isinstance(bundle.job, BuildJob)
 
 
-def _range_of(pull: Pull, offset: int, length: int) -> BundleRange:
-    return BundleRange(pull.lease.job_id, pull.lease.fence, Chunk(offset, length))
+def _range_of(bundle: IncomingBundle, offset: int, length: int) -> BundleRange:
+    return BundleRange(bundle.lease.job_id, bundle.lease.fence, Chunk(offset, length))

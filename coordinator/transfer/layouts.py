@@ -16,14 +16,14 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.archive.contract import Archive, Staged
+from coordinator.archive.contract import Archive
 from coordinator.expansion.catalog import SceneEntry, add_files, read_entry
 from coordinator.expansion.draw import expand_layout
 from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
 from coordinator.ledger import outcomes
 from coordinator.ledger.database.writer import Writer
-from coordinator.protocol.bundles import BuildJob, Pull
+from coordinator.protocol.bundles import BuildJob, IncomingBundle
 from coordinator.protocol.protocol import Terms, fail_attempt
 from schemas.errors import InvalidBundle
 from schemas.plan import Plan
@@ -59,31 +59,31 @@ class LayoutStore:
     clock: Callable[[], datetime]
     """Wall clock."""
 
-    def receive(self, pull: Pull, build: BuildJob, staged: Staged) -> None:
+    def receive(self, bundle: IncomingBundle, build: BuildJob) -> None:
         """Stores a package and inserts the episodes of its layout, or refuses the seed.
 
         Args:
-            pull: announcement of the package.
+            bundle: bundle of the package, with its complete part file.
             build: job of the package.
-            staged: complete part file.
 
         Raises:
             InvalidBundle: the file is not a package of the layout, or not the announced one.
             WorldError: the disk is full or unavailable; nothing has been recorded.
         """
-        if staged.is_linked and staged.sha256 != pull.sha256:
-            raise InvalidBundle("bundle refused", [f"SHA-256 {staged.sha256}, {pull.sha256} was announced"])
-        self.check(staged.path)
-        with unpacked(staged.path) as package:
+        part = bundle.open_part
+        if part.is_linked and part.sha256 != bundle.sha256:
+            raise InvalidBundle("bundle refused", [f"SHA-256 {part.sha256}, {bundle.sha256} was announced"])
+        self.check(part.path)
+        with unpacked(part.path) as package:
             entry = read_entry(package)
             if entry.info.name != build.layout:
                 raise InvalidBundle("bundle refused", [f"package of {entry.info.name}, expected {build.layout}"])
             self._require_textures(package)
             faults = list(layout_faults(self.terms.plan, build.layout, entry))
             if faults:
-                self._refuse(pull, build, "; ".join(faults))
+                self._refuse(bundle, build, "; ".join(faults))
             else:
-                self._store(pull, build, entry)
+                self._store(bundle, build, entry)
 
     def _require_textures(self, package: Path) -> None:
         """Checks that each texture of a layout is in its bundle or in the dataset."""
@@ -91,12 +91,12 @@ class LayoutStore:
         if absent:
             raise InvalidBundle("bundle refused", [f"texture {one.file} is missing" for one in absent])
 
-    def _refuse(self, pull: Pull, build: BuildJob, detail: str) -> None:
-        report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.LAYOUT, detail=cut_detail(detail))
-        log.info("layout_refused", layout=build.layout, worker=pull.sid, detail=detail)
+    def _refuse(self, bundle: IncomingBundle, build: BuildJob, detail: str) -> None:
+        report = Fail(sid=bundle.sid, lease=bundle.lease, reason=FailReason.LAYOUT, detail=cut_detail(detail))
+        log.info("layout_refused", layout=build.layout, worker=bundle.sid, detail=detail)
         self.writer.call(lambda connection: fail_attempt(connection, report, self.terms, self.clock()))
 
-    def _store(self, pull: Pull, build: BuildJob, staged: SceneEntry) -> None:
+    def _store(self, bundle: IncomingBundle, build: BuildJob, staged: SceneEntry) -> None:
         plan, layout = self.terms.plan, build.layout
         entry = replace(staged, path=self._keep(layout, staged))
         planned = tuple(expand_layout(plan, build.number, plan.spans[layout][0], entry))
@@ -105,13 +105,13 @@ class LayoutStore:
         self.catalog[layout] = entry
         if self.writer.call(
             lambda connection: outcomes.record_package(
-                connection, pull.lease, pull.sha256, entry.sha256, planned, self.clock()
+                connection, bundle.lease, bundle.sha256, entry.sha256, planned, self.clock()
             )
         ):
             self._remove_others(layout, entry)
             family = family_of(layout)
             self.terms.textures[family] = self.terms.textures.get(family, frozenset()).union(entry.textures)
-            log.info("layout_stored", layout=layout, worker=pull.sid, episodes=len(planned))
+            log.info("layout_stored", layout=layout, worker=bundle.sid, episodes=len(planned))
         elif self.catalog[layout] is entry:  # the lease was lost meanwhile
             del self.catalog[layout]
 

@@ -12,9 +12,9 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger import archived, claims, outcomes
 from coordinator.ledger.database.writer import Writer
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.protocol.protocol import Terms, fail_attempt
-from coordinator.transfer.contract import Delivery
+from coordinator.transfer.contract import ValidatedBundle
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Fail, cut_detail
 from schemas.terms import FailReason
@@ -28,25 +28,21 @@ class LocalLedgerClient:
         self._terms = terms
         self._clock = clock
 
-    def keep(self, pulls: Sequence[Pull], seconds: float) -> Sequence[bool]:
-        """See `LedgerClient`."""
+    def keep(self, bundles: Sequence[IncomingBundle], seconds: float) -> Sequence[bool]:
         return self._writer.call(
-            lambda connection: [claims.extend(connection, pull.lease, self._clock(), seconds) for pull in pulls]
+            lambda connection: [claims.extend(connection, bundle.lease, self._clock(), seconds) for bundle in bundles]
         )
 
-    def is_owned(self, index: int) -> bool:
-        """See `LedgerClient`."""
-        return self._writer.call(lambda connection: outcomes.is_owned(connection, index))
+    def is_recorded(self, index: int) -> bool:
+        return self._writer.call(lambda connection: outcomes.is_recorded(connection, index))
 
-    def own(self, deliveries: Sequence[Delivery]) -> Sequence[bool]:
-        """See `LedgerClient`."""
-        return self._writer.call(lambda connection: [_own(connection, each, self._clock()) for each in deliveries])
+    def record_archived(self, bundles: Sequence[ValidatedBundle]) -> Sequence[bool]:
+        return self._writer.call(lambda connection: [_record(connection, each, self._clock()) for each in bundles])
 
-    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
-        """See `LedgerClient`."""
+    def refuse(self, bundle: IncomingBundle, detail: str, *, is_false: bool = False) -> None:
         report = Fail(
-            sid=pull.sid,
-            lease=pull.lease,
+            sid=bundle.sid,
+            lease=bundle.lease,
             reason=FailReason.INVALID,
             detail=cut_detail(detail),
         )
@@ -56,16 +52,16 @@ class LocalLedgerClient:
             fail_attempt(connection, report, self._terms, now)
             if is_false:
                 archived.bar_at_once(
-                    connection, host_of(pull.sid), f"invalid bundle, announced as valid: {report.detail}", now
+                    connection, host_of(bundle.sid), f"invalid bundle, announced as valid: {report.detail}", now
                 )
 
         self._writer.call(refuse)
 
 
-def _own(connection: Connection, delivery: Delivery, now: datetime) -> bool:
-    pull, receipt, is_checked = delivery
-    if not outcomes.archive(connection, pull.lease, receipt, now):
-        return outcomes.is_owned(connection, pull.job.index)
+def _record(connection: Connection, validated: ValidatedBundle, now: datetime) -> bool:
+    bundle, receipt, is_checked = validated
+    if not outcomes.archive(connection, bundle.lease, receipt, now):
+        return outcomes.is_recorded(connection, bundle.job.index)
     if not is_checked:
-        archived.note_unchecked(connection, pull.job.index, host_of(pull.sid))
+        archived.note_unchecked(connection, bundle.job.index, host_of(bundle.sid))
     return True

@@ -14,12 +14,12 @@ import structlog
 
 from coordinator.archive.contract import Archive
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.contract import BundleValidator, FindLocalBundle, LedgerClient, no_local_bundle
-from coordinator.transfer.delivering import Arrival, Deliverer, SpotCheckedValidation
+from coordinator.transfer.delivering import Deliverer, SpotCheckedValidation
 from coordinator.transfer.fair_queue import FairQueue
-from coordinator.transfer.fetching import Fetch, Fetcher, Transfer
+from coordinator.transfer.fetching import Fetch, Fetcher
 from coordinator.transfer.refusals import Refusals
 from schemas.errors import FactoryError
 from schemas.protocol.keys import host_of
@@ -62,7 +62,7 @@ class Pullers(Closing):
         """Numbers of the episodes whose bundles are queued or in transfer."""
         self._guard = threading.Lock()
         self._stop = threading.Event()
-        self._queue: FairQueue[Transfer] = FairQueue(lambda turn, item: self._fetcher.joins(turn, item))
+        self._queue: FairQueue[IncomingBundle] = FairQueue(lambda turn, item: self._fetcher.joins(turn, item))
         refusals = Refusals(ledger, meters)
         self._fetcher = Fetcher(
             archive, ledger, fetch, settings, meters, find_local_bundle, refusals, self._queue.has_others, self._stop
@@ -77,13 +77,13 @@ class Pullers(Closing):
         for thread in self._threads:
             thread.start()
 
-    def offer(self, pull: Pull) -> None:
+    def offer(self, bundle: IncomingBundle) -> None:
         """Queues a bundle unless its episode is queued or in transfer; the next heartbeat repeats the announcement."""
         with self._guard:
-            if pull.job.index in self._busy or self._stop.is_set():
+            if bundle.job.index in self._busy or self._stop.is_set():
                 return
-            self._busy.add(pull.job.index)
-        self._queue.put(host_of(pull.sid), Transfer(pull))
+            self._busy.add(bundle.job.index)
+        self._queue.put(host_of(bundle.sid), bundle)
 
     def has(self, index: int) -> bool:
         """Returns whether the bundle of an episode is queued or in transfer."""
@@ -103,8 +103,8 @@ class Pullers(Closing):
     def close(self) -> None:
         """Stops transfers at the next chunk and removes their part files."""
         self._stop.set()
-        for transfer in self._queue.close():
-            transfer.abandon()
+        for bundle in self._queue.close():
+            bundle.abandon()
         for thread in self._threads:
             thread.join()
 
@@ -115,41 +115,41 @@ class Pullers(Closing):
             unfinished = self._serve(host, turn)
             if self._stop.is_set():
                 unfinished = []
-            self._end([transfer for transfer in turn if transfer not in unfinished])
+            self._end([bundle for bundle in turn if bundle not in unfinished])
             self._queue.give(host, time.monotonic() - started, unfinished)
 
-    def _end(self, transfers: list[Transfer]) -> None:
-        for transfer in transfers:
-            transfer.abandon()
-        self._fetcher.forget(transfers)
+    def _end(self, bundles: list[IncomingBundle]) -> None:
+        for bundle in bundles:
+            bundle.abandon()
+        self._fetcher.forget(bundles)
         with self._guard:
-            self._busy.difference_update(transfer.pull.job.index for transfer in transfers)
+            self._busy.difference_update(bundle.job.index for bundle in bundles)
 
-    def _serve(self, host: str, turn: list[Transfer]) -> list[Transfer]:
-        """Serves one turn; returns the transfers that continue in a later turn."""
+    def _serve(self, host: str, turn: list[IncomingBundle]) -> list[IncomingBundle]:
+        """Serves one turn; returns the bundles whose transfer continues in a later turn."""
         try:
             return [] if self._stop.is_set() else self._advance(host, turn)
         except Exception as error:  # noqa: BLE001 - the loop of a puller: logged; the worker announces the bundle again
             if len(turn) > 1:  # with a separate turn for each bundle, only the faulty bundle fails again
                 log.debug("served_apart", host=host, bundles=len(turn), error=str(error))
-                for transfer in turn:
-                    transfer.restart()
+                for bundle in turn:
+                    bundle.restart()
                 return turn
-            self._note_failure(turn[0].pull, error)
+            self._note_failure(turn[0], error)
             return []
 
-    def _advance(self, host: str, turn: list[Transfer]) -> list[Transfer]:
+    def _advance(self, host: str, turn: list[IncomingBundle]) -> list[IncomingBundle]:
         wanted = self._fetcher.begin(turn)
         complete = self._fetcher.fetch(host, wanted)
         if complete:
-            self._deliverer.deliver([Arrival(transfer.pull, transfer.open_file) for transfer in complete])
-        return [transfer for transfer in wanted if transfer.rest and not transfer.is_refused]
+            self._deliverer.deliver(complete)
+        return [bundle for bundle in wanted if bundle.rest and not bundle.is_refused]
 
     def _note_archived(self) -> None:
         self._failing.succeed()
         self._on_archived()
 
-    def _note_failure(self, pull: Pull, error: Exception) -> None:
+    def _note_failure(self, bundle: IncomingBundle, error: Exception) -> None:
         if isinstance(error, FactoryError):
             self._meters.add(Meter.PULLS_FAILED)
-        self._failing.fail(error, episode=pull.name, worker=pull.sid)
+        self._failing.fail(error, episode=bundle.name, worker=bundle.sid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import structlog
 
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.transfer.contract import LedgerClient
 from schemas.protocol.keys import host_of
 from schemas.support.log_limit import LogLimit
@@ -28,11 +28,11 @@ class Refusals:
         self._ledger, self._meters = ledger, meters
         self._limit = LogLimit(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
 
-    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
+    def refuse(self, bundle: IncomingBundle, detail: str, *, is_false: bool = False) -> None:
         """Refuses a bundle.
 
         Args:
-            pull: bundle.
+            bundle: bundle.
             detail: reason.
             is_false: whether the worker has announced the bundle as valid, so its host is barred.
 
@@ -40,6 +40,6 @@ class Refusals:
             TransientError: the ledger is unavailable.
         """
         self._meters.add(Meter.REFUSED)
-        episode, host = pull.name, host_of(pull.sid)
-        self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=pull.sid, detail=detail)
-        self._ledger.refuse(pull, detail, is_false=is_false)
+        episode, host = bundle.name, host_of(bundle.sid)
+        self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=bundle.sid, detail=detail)
+        self._ledger.refuse(bundle, detail, is_false=is_false)

@@ -92,6 +92,7 @@ class _Survey:
 
     def _image_findings(self, depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> list[str]:
         """Returns faults of depth and ids. Examines all pixels only if the extreme values do not rule out a fault."""
+        # the extreme values suffice for nearly every frame; validation must not take longer than simulation
         nearest, farthest = float(depth.min()), float(depth.max())
         found = DEPTH_FRAME.range_violations(nearest, farthest)
         if not self._known[: int(ids.max()) + 1].all():

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import struct
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, TypeVar
 
 from pydantic import Field
 
-from coordinator.protocol.bundles import Scope
 from schemas.base import Line, Model, Sha256
 from schemas.dataset.rows import EpisodeSummary
+from schemas.errors import InvalidBundle
 from schemas.job import Job
 from schemas.language.instruction import Instruction
 from schemas.scene import Target
+
+R = TypeVar("R")
 
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
 """Maximum number and length of the findings of a verdict; the output of a child with a hostile bundle is untrusted."""
@@ -20,6 +25,14 @@ HEADER = struct.Struct("!I")
 """Header of an order: its length, bytes. The descriptors of the open bundles are sent with the header."""
 MAX_TASKS = 64
 """Largest number of bundles in an order; the kernel sends at most 253 descriptors together."""
+
+
+class Scope(StrEnum):
+    """Part of a bundle that is validated."""
+
+    ALL = "all"  # every frame and measurement
+    SAMPLE = "sample"  # one frame and measurement in eight; all arrays
+    CLAIM = "claim"  # container, arrays, job, target and content digest; for bundles that the worker has validated
 
 
 class ValidatorLimits(Model):
@@ -69,3 +82,17 @@ class Verdicts(Model):
 
     verdicts: Annotated[tuple[Verdict, ...], Field(max_length=MAX_TASKS)]
     """Results of the tasks, in their order."""
+
+
+def check_each(
+    check: Callable[[Path, Job, tuple[Target, ...], Scope], R], bundles: Sequence[tuple[Path, ValidationTask]]
+) -> list[R | InvalidBundle]:
+    """Validates bundles one after another; returns the result or the violations of each."""
+    results: list[R | InvalidBundle] = []
+    for path, task in bundles:
+        assert task.job is not None
+        try:
+            results.append(check(path, task.job, task.candidates, task.scope))
+        except InvalidBundle as error:
+            results.append(error)
+    return results

@@ -3,6 +3,8 @@
 With seccomp (the package `pyseccomp` and the system's libseccomp) the process cannot open files or sockets, start
 programs, send signals or map executable memory. It reads open descriptors that it receives and replies through a pipe.
 Other system calls fail with EPERM. The sandbox needs no privileges and works inside containers.
+
+Design: docs/design/protocol.md#the-validator-gets-open-files.
 """
 
 from __future__ import annotations

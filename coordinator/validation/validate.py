@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from coordinator.protocol.bundles import Scope
 from coordinator.validation.frames import survey_frames
 from coordinator.validation.job import job_findings, table_findings, target_findings
+from coordinator.validation.messages import Scope
 from coordinator.validation.motion import motion_findings
 from coordinator.validation.rollout import arrival_findings, rollout_findings, route_findings, visibility_findings
 from coordinator.validation.sensors import rig_findings, survey_measurements
@@ -22,7 +22,7 @@ from schemas.terms import Recording
 
 _STRIDE = 8
 """With `Scope.SAMPLE`, one in this many frames and measurements is decoded
-(docs/decisions/0151-decode-one-frame-in-eight-of-the-bundles-of-a-run-on-one-machine.md)."""
+(docs/design/protocol.md#sampled-validation-on-one-machine)."""
 
 
 def validate(

@@ -23,10 +23,10 @@ from types import MappingProxyType
 import structlog
 from pydantic import ValidationError
 
-from coordinator.protocol.bundles import BundleFile, Scope
 from coordinator.validation.messages import (
     HEADER,
     MAX_TASKS,
+    Scope,
     ValidationOrder,
     ValidationTask,
     ValidatorLimits,
@@ -44,6 +44,9 @@ from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess
 from schemas.support.log_limit import LogLimit
 
 _TRIES = 2
+"""Number of children that may die during the validation of a bundle before the bundle is refused."""
+# the second child is new, so earlier bundles cannot be the cause; a child that a signal from outside ended does not
+# count
 _LONGEST_PAUSE_S = 60.0
 """Longest pause between two log lines about terminated children, seconds."""
 _STARTUP_S = 60.0
@@ -102,29 +105,33 @@ class Validator(Closing):
             TransientError: no child can be started on this machine now, a signal from outside ended it, or the file
                 cannot be opened now.
         """
-        verdict = self._verdict(_task_of(BundleFile(path, job, candidates, scope)), path)
+        verdict = self._verdict(ValidationTask(job=job, candidates=candidates, scope=scope), path)
         return self._with_sentence(verdict, job)
 
-    def check_all(self, files: Sequence[BundleFile]) -> list[EpisodeSummary | InvalidBundle]:
+    def check_all(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> list[EpisodeSummary | InvalidBundle]:
         """Validates several bundles in one order, which costs less than an order for each.
 
         If the child terminates, or a file cannot be opened, the bundles are validated one after another.
 
+        Args:
+            bundles: path, usually of a part file, and task of each bundle.
+
         Returns:
-            The row or the violations of each bundle, in the order of the files.
+            The row or the violations of each bundle, in their order.
 
         Raises:
             TransientError: see `check`.
         """
-        found: list[EpisodeSummary | InvalidBundle] = []
-        for start in range(0, len(files), MAX_TASKS):
-            part = files[start : start + MAX_TASKS]
-            for file, verdict in zip(part, self._verdicts(part), strict=True):
+        results: list[EpisodeSummary | InvalidBundle] = []
+        for start in range(0, len(bundles), MAX_TASKS):
+            order = bundles[start : start + MAX_TASKS]
+            for (path, task), verdict in zip(order, self._verdicts(order), strict=True):
+                assert task.job is not None
                 try:
-                    found.append(self._with_sentence(verdict or self._verdict(_task_of(file), file.path), file.job))
+                    results.append(self._with_sentence(verdict or self._verdict(task, path), task.job))
                 except InvalidBundle as error:
-                    found.append(error)
-        return found
+                    results.append(error)
+        return results
 
     def check_package(self, path: Path) -> None:
         """Decodes the package of a scene; raises the errors of `check`."""
@@ -132,16 +139,16 @@ class Validator(Closing):
         if verdict.findings:
             raise InvalidBundle("bundle refused", verdict.findings)
 
-    def _verdicts(self, files: Sequence[BundleFile]) -> Sequence[Verdict | None]:
+    def _verdicts(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> Sequence[Verdict | None]:
         """Returns the results of one order; `None` for bundles that must be validated separately."""
-        nothing = [None] * len(files)
-        if len(files) == 1:
+        nothing = [None] * len(bundles)
+        if len(bundles) == 1:
             return nothing
-        tasks = tuple(map(_task_of, files))
+        tasks = tuple(task for _, task in bundles)
         try:
             with self._child() as child, contextlib.ExitStack() as opened:
-                bundles = [opened.enter_context(_opened(file.path)) for file in files]
-                return self._ask(child, tasks, bundles) or nothing
+                descriptors = [opened.enter_context(_opened(path)) for path, _ in bundles]
+                return self._ask(child, tasks, descriptors) or nothing
         except InvalidBundle:
             return nothing
 
@@ -324,10 +331,6 @@ def _opened(path: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
-
-
-def _task_of(file: BundleFile) -> ValidationTask:
-    return ValidationTask(job=file.job, candidates=file.candidates, scope=file.scope, sha256=file.sha256)
 
 
 def sandbox_of(validator: object) -> tuple[str, ...]:

@@ -184,6 +184,7 @@ class Episode(Closing):
         """
         from factory.dataset.sensor_reading import observe
 
+        # not stored by default, because the images of a rig take 100 MB and more per episode, and the states 15 kB
         chosen, step = self._sensors(sensors), self._step(t)
         with self._reading() as bundle:
             hz = bundle.meta.job.task.control_hz
@@ -232,6 +233,7 @@ class Episode(Closing):
             return self._opened.bundle
 
     def _open(self) -> _Opened:
+        # the table gives the number of steps: checking the metadata of the file would take half of the opening time
         try:
             return _Opened(self.path, len(self), self.ranges)
         except FileNotFoundError:  # the coordinator of a run may have packed the episode meanwhile

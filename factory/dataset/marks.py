@@ -75,6 +75,7 @@ class Marks:
     """
 
     def __init__(self, site: Site) -> None:
+        # a file and not a column of `metadata.parquet`, which the coordinator rewrites from the ledger
         self._path = site.state_dir / MARKS_FILE
         self._writing = threading.Lock()
 

@@ -46,6 +46,7 @@ def shrink_frame(frame: Frame, block: int) -> Frame:
     """Returns a frame whose width and height are divided by `block`; the frame itself if `block` is 1."""
     if block == 1:
         return frame
+    # not multisampling: it smooths edges but not textures, and a mean of ids or depths has no meaning
     depth, ids = middle_of_blocks(frame.depth, block), middle_of_blocks(frame.ids, block)
     return Frame(mean_of_blocks(frame.rgb, block), depth.copy(), ids.copy())
 

@@ -1,6 +1,6 @@
 """Order of training samples in which few scenes alternate, so a renderer prepares each scene once per epoch.
 
-Reads no files and renders nothing.
+With a shuffle over all scenes, nearly every sample would prepare a scene. Reads no files and renders nothing.
 """
 
 from __future__ import annotations

@@ -45,6 +45,7 @@ class ExportPiece(Generic[FactsT]):
     folder: Path
     """Folder of the files of `write_episode` if the exporter `assembles`; otherwise the files are in OUT already."""
     facts_path: Path
+    """JSON file of the facts. It is written last, so its existence marks a complete piece."""
     facts_type: type[FactsT]
 
     @property

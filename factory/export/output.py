@@ -126,7 +126,6 @@ class Output(Closing):
         self._note(name)
 
     def write_text(self, name: str, text: str) -> None:
-        """Writes a small text file."""
         with self.replacing(name) as part:
             part.write_text(text, encoding="utf-8")
 

@@ -82,7 +82,6 @@ def rlds_steps(episode: Episode, fps: int | None = None, image_px: int = 256) ->
 
 
 def rlds_metadata(episode: Episode) -> dict[str, Any]:
-    """Returns `episode_metadata`."""
     row = episode.summary
     return {
         "episode_id": row.episode_id,

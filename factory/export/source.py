@@ -1,6 +1,8 @@
 """Describes the source of an export by its content; describes a states dataset like a frames dataset of the same plan.
 
 Times and workers are excluded, so datasets with equal content give equal exports. Reads tables and metadata only.
+
+Design: docs/design/data.md#exports-describe-the-frames-dataset.
 """
 
 from __future__ import annotations

@@ -215,6 +215,7 @@ def _contents(shard: Shard) -> dict[str, Any]:
 
 def recorded_members(episode: Episode, t: int) -> Iterator[tuple[str, bytes]]:
     """Yields suffix and bytes of the images of the recorded camera; all frames have the same suffixes."""
+    # ids and depth are not 16-bit PNG, because decode("rgb") of webdataset reduces it to 8 bits without a warning
     yield "rgb.png", episode.stored(f"rgb_front/{t:06d}.png")
     yield "depth.npy.gz", array_member(episode.depth(t))
     yield "seg.npy.gz", array_member(episode.ids(t))

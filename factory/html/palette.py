@@ -85,7 +85,6 @@ _HEX = re.compile(r"#[0-9a-f]{6}\b")
 
 
 def reason_colour(reason: str) -> str:
-    """Returns the name of the colour of a failure reason."""
     return next((name for known, name in REASON_COLOURS.items() if known == reason), "other")
 
 

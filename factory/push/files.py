@@ -87,6 +87,7 @@ def render_thumbnails(root: Path, on_progress: Callable[[int, int], None]) -> No
         WorldError: A coordinator has locked the dataset, it cannot be written, or this machine cannot render.
         ArchiveCorrupt: A table, an episode or a scene is damaged.
     """
+    # not at the end of a run, because the machine of a coordinator may have no graphics driver
     dataset, done = Dataset(root), itertools.count(1)
 
     def draw(episode_id: str) -> NDArray[np.uint8]:

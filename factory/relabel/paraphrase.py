@@ -100,6 +100,8 @@ def with_paraphrases(spec: LanguageSpec, endpoint: Endpoint, cache: Path) -> tup
     known, refused, failed = dict(_read(cache)), Counter[str](), Counter[str]()
     accepted: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
     in_succession = 0
+    # patterns, not sentences: in a sentence, the endpoint could change the referring expression, which could not be
+    # verified then
     for asked in _questions(spec):
         key = hashlib.sha256(f"{endpoint.model}\n{asked.prompt}".encode()).hexdigest()
         if key not in known:

@@ -199,7 +199,6 @@ class PartWriter:
             self.tables[QUESTIONS_FILE] = ([], QUESTIONS_SCHEMA)
 
     def add(self, start: LanguageStart) -> None:
-        """Adds the rows of an episode."""
         if self._dataset is None:
             self._add(start, None)
         else:

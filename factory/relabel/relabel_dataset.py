@@ -77,6 +77,7 @@ def assemble(
     """
     source = Path(str(dataset.root))
     output.begin_finish([dataset.digest])
+    # links, because rewriting the episodes would copy terabytes and change their digests
     for folder in (EPISODES, SCENES, f"{SCENES}/{TEXTURES}", SPLITS_FOLDER):
         for file in sorted((source / folder).glob("*")):
             if file.is_file() and not output.has(f"{folder}/{file.name}"):

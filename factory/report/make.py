@@ -142,6 +142,7 @@ def render_report(
         on_progress: callback with the number of figures drawn and the total.
         draw_functions: functions of the figures, in the order of the page.
     """
+    # no file contains a date or a path, so reports of equal datasets can be compared by hash
     figures: list[Figure] = []
     for done, draw in enumerate(draw_functions, 1):
         figures.append(draw(material))

@@ -160,6 +160,7 @@ def run_gate(run: GateRun, stop: threading.Event, on_progress: Callable[[int], N
     Raises:
         WorldError: Simulations do not start, or the disk of temporary files is full.
     """
+    # not an ordinary run with one attempt per episode, which would archive gigabytes only to count the successes
     waiting, trials = deque(run.jobs), list[Trial]()
     with tempfile.TemporaryDirectory(prefix="gate-") as folder, ExitStack() as stack:
         count = min(run.processes, len(run.jobs))
@@ -270,7 +271,6 @@ class _TrialProcess:
         self._starts = 0
 
     def close(self) -> None:
-        """Kills the process."""
         self._simulation.kill()
 
     def turn(self, waiting: deque[Job]) -> Trial | None:

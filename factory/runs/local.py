@@ -59,6 +59,8 @@ def require_renderer(renderer: RendererKind) -> None:
     """
     if renderer != "gl":
         return
+    # without this, every worker of the run would start its simulations in vain; OpenGL is not opened in this process,
+    # because Mesa starts threads, and a later fork would hang
     command = python_module("workers.sim.simulate", "--renderer", renderer)
     process = JsonlProcess(command, child_environment(os.environ), read_report)
     try:

@@ -23,6 +23,7 @@ _LEAVE_S = 8.0
 """Maximum time that a stopped worker has to return its jobs, seconds."""
 
 
+# one actor for each node, because a Ray task for each job would load the scene again each time
 class RayWorker:
     """Worker process of one node, which uses the cores that Ray has assigned to the actor.
 

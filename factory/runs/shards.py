@@ -2,6 +2,8 @@
 
 The state file is the heartbeat of a shard. A reader waits for a change of the file and does not use its times, so the
 clocks of the hosts may differ. Generates no episode.
+
+Design: docs/design/protocol.md#shards-of-a-run-are-contiguous.
 """
 
 from __future__ import annotations

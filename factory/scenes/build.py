@@ -162,6 +162,7 @@ def _is_paper(name: str, seed: int, called: str | None) -> bool:
 
 def rules_of(name: str) -> RuleBook:
     """Returns the rules of a built-in scene. Scenes of the paper use the paper's categories, other scenes their own."""
+    # with all rules, a category that few layouts of a family have would be a target in these layouts only
     seen, held_out = BUILTIN_CATEGORIES[name]
     return builtin_rules().only(CATEGORIES if name in PAPER_SCENES else {*seen, *held_out})
 
@@ -228,6 +229,7 @@ def find_import(
     """Returns the cached package of an import, or `None` if it must be compiled. Arguments as for `import_scene`."""
     if not any(cache.glob(f"{name}-*.scene.zip")):
         return None
+    # compares digests, because times of files do not show that a file exists which was missing before
     _, made_from = _read_stage(path, rules, targets, limits)
     return recall_package(cache, name, made_from)
 

@@ -17,7 +17,6 @@ _DIGITS = 12
 
 
 def package_name(scene: str, digest: str) -> str:
-    """Returns the file name of a package."""
     return f"{scene}-{digest[:_DIGITS]}.scene.zip"
 
 

@@ -44,6 +44,8 @@ Colour = Annotated[str, AfterValidator(_is_colour)]
 class CategoryRule(Model):
     """Rule that assigns a category to prims by name, size, shape and colour."""
 
+    # names alone mislead: a plank with the name `Board_01` became a whiteboard
+
     category: Name
     """Category that the rule assigns; several rules may assign the same category."""
     words: tuple[Pattern, ...] = ()
@@ -96,7 +98,6 @@ class RuleBook(Model):
         return frozenset(rule.category for rule in self.rules if not rule.has_colour)
 
     def only(self, categories: Collection[str]) -> RuleBook:
-        """Returns the rules of some categories."""
         return RuleBook(rules=tuple(rule for rule in self.rules if rule.category in categories))
 
     def matches(self, name: str) -> Iterator[CategoryRule]:

@@ -44,7 +44,6 @@ def draw_topdown(scene: CompiledScene, pixels_per_cell: int = 4) -> NDArray[np.u
 
 
 def category_colour(category: str, categories: list[str]) -> tuple[int, int, int]:
-    """Returns the colour of a category on the map of a scene."""
     hue = categories.index(category) / max(len(categories), 1)
     red, green, blue = colorsys.hsv_to_rgb(hue, 0.85, 0.9)
     return round(red * 255), round(green * 255), round(blue * 255)

@@ -93,6 +93,7 @@ def _overlaps_in(scene: str, episodes: Episodes) -> Iterator[OverlapRow]:
 
 
 AttemptSummary = EpisodeSummary | FailedAttempt
+# crashes and expired leases describe machines, not scenes, so they do not reduce the success rate
 _TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 
 

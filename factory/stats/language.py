@@ -37,7 +37,6 @@ def words_of(sentence: str) -> list[str]:
 
 
 def wording_row(language: str, sentences: Sequence[str]) -> WordingRow:
-    """Returns the measures of the sentences of one language."""
     split = [words_of(sentence) for sentence in sentences]
     lengths = [len(words) for words in split]
     chosen = split[:: max(1, math.ceil(len(split) / _MOST_COMPARED))]

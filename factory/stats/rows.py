@@ -46,7 +46,6 @@ class Rows:
         self.remarks.append(Remark(is_damage=False, file=file, text=text))
 
     def add_damage(self, file: str, text: str) -> None:
-        """Adds a remark about damage."""
         self.remarks.append(Remark(is_damage=True, file=file, text=text))
 
 

@@ -36,6 +36,7 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
         WorldError: The dataset does not exist, or its format is newer than this software.
         ArchiveCorrupt: `dataset_meta.json` or the table of episodes cannot be read.
     """
+    # from frames, because the tables of older datasets have no columns for this
     rows = read_rows(root)
     fits = read_fits(root)
     chosen = spread_evenly(rows.episodes, MOST_OPENED) if (root / EPISODES).is_dir() else []

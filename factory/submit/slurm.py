@@ -1,6 +1,7 @@
 """Slurm jobs of a run: its folder, their scripts, as text, and the commands of Slurm that submit them.
 
-The scripts only call the command line; they contain no Python code.
+The scripts only call the command line; they contain no Python code. submitit pickles functions, handles signals in
+Python instead of the batch shell, and has no dependent arrays.
 """
 
 from __future__ import annotations
@@ -104,17 +105,14 @@ class SlurmJob:
 
     @property
     def plan(self) -> Path:
-        """Path of the plan."""
         return self.run / "slurm" / "plan.toml"
 
     @property
     def scenes(self) -> Path:
-        """Folder of the compiled scenes."""
         return self.run / "scenes"
 
     @property
     def dataset(self) -> Path:
-        """Directory of the dataset."""
         return self.run / "dataset"
 
 

@@ -26,7 +26,6 @@ def store_endpoint() -> str:
 
 
 def scene_cache() -> Path:
-    """Returns the folder of compiled scenes."""
     return cache_directory() / "scenes"
 
 

@@ -153,7 +153,6 @@ class Pictures(NamedTuple):
         return Pictures(np.asarray(self.rgb[rows]), np.asarray(self.depth[rows]), np.asarray(self.mask[rows]))
 
     def copy_row(self, row: int, source: Pictures, source_row: int) -> None:
-        """Copies a row of other pictures into a row of these."""
         self.rgb[row], self.depth[row] = source.rgb[source_row], source.depth[source_row]
         self.mask[row] = source.mask[source_row]
 
@@ -195,7 +194,6 @@ class LabelledSteps:
     episode: NDArray[np.int32]
 
     def with_pictures(self, dataset: Dataset, pictures: PictureSource) -> TrainingFrames:
-        """Returns the frames of a training."""
         scene = scene_numbers(dataset)[self.episode]
         return TrainingFrames(self.index, self.actions, self.is_stop, self.episode, scene, pictures)
 

@@ -26,6 +26,7 @@ class NetworkOutput(NamedTuple):
     """(N, 2) v / maximum speed, 0..1, and w / maximum yaw rate, -1..1; continuous head only."""
     stop: Tensor
     """(N,) stop logits; continuous head only."""
+    # near the goal, a regressed speed would be the mean of driving and stopping, which is correct for neither
     cells: Tensor
     """(N, 49) logits of the grid points, at index 7 * token of v + token of w; token head only."""
     mask: Tensor

@@ -67,6 +67,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
     if index is None or index.key != key:
         with translated("write the cache", folder):
             root.mkdir(parents=True, exist_ok=True)
+            # without the lock, the rename of one training would delete files that another one has mapped
             with exclusive_lock(root / f".{key.name}.lock", wait):
                 index = _read_index(folder)  # another training may have written it in the meantime
                 if index is None or index.key != key:

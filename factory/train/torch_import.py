@@ -70,6 +70,7 @@ def deterministic_algorithms() -> Iterator[None]:
     """Limits PyTorch to algorithms that give the same result in every run, on a GPU too."""
     torch = load_torch()
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is used for the first time
+    # with PyTorch's default algorithms, two runs with the same seed on one GPU had different weights
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(True)
     try:

@@ -59,6 +59,7 @@ def mirrored_words(words: Sequence[str]) -> NDArray[np.int64]:
     Args:
         words: Vocabulary.
     """
+    # half of the frames are mirrored: "on your left" would be false in them, and the network could not learn the words
     number = {word: place for place, word in enumerate(words)}
     out = np.arange(len(words), dtype=np.int64)
     for one, other in _SIDES:

@@ -58,11 +58,9 @@ class VerifyReport:
 
     @property
     def ok(self) -> bool:
-        """Returns whether there are no findings."""
         return not self.findings
 
     def add(self, kind: Kind, file: str, text: str) -> None:
-        """Adds a finding."""
         self.findings.append(Finding(kind, file, text))
 
     def plain(self) -> dict[str, Any]:

@@ -60,7 +60,6 @@ class ChannelDifference:
         )
 
     def merge(self, other: ChannelDifference) -> None:
-        """Adds the values of another difference."""
         self.values += other.values
         self.unequal += other.unequal
         self.total += other.total

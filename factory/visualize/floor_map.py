@@ -37,7 +37,6 @@ class FloorMap:
 
 
 def map_of(scene: CompiledScene) -> FloorMap:
-    """Returns the floor map of a scene."""
     return FloorMap(
         bounds_m=_bounds(scene),
         floor=_outlines(scene, scene.reachable > 0),

@@ -17,6 +17,7 @@ class Access:
     """Secret of this server; requests with it may change flags, notes and jobs."""
     reads_openly: bool
     """Whether requests without the token may read: on loopback, or if clients need a certificate."""
+    # every user of the machine reaches loopback, but `factory status` and the files of the dataset need no token either
 
     @property
     def session(self) -> str:
@@ -41,7 +42,6 @@ class Access:
         return _equal(cookie, self.session) or self.is_bearer(authorization)
 
     def is_form_key(self, text: str) -> bool:
-        """Returns whether a text is the form key."""
         return _equal(text, self.form_key)
 
     def _derived(self, purpose: str) -> str:

@@ -1,4 +1,7 @@
-"""Builds the web application: routes of all pages, static files, answers to errors, and the access rules."""
+"""Builds the web application: routes of all pages, static files, answers to errors, and the access rules.
+
+Design: docs/design/program.md#pages-are-rendered-on-the-server.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +71,6 @@ def all_routes(farm_view: Recent[FarmView]) -> list[BaseRoute]:
 
 
 def style(_request: Request) -> Response:
-    """Answers with the stylesheet."""
     return Response(_stylesheet(), media_type="text/css", headers={"cache-control": "max-age=300"})
 
 

@@ -70,13 +70,13 @@ class Evaluations:
         self._lock = threading.Lock()
         self._kept: dict[str, tuple[object, EvaluationReading]] = {}
         self._folders: dict[str, Path] = {}
+        # named directories only, because a search below the dataset would read unrelated ones
         for folder in folders:
             name = folder.resolve().name
             self._folders[name if name not in self._folders else f"{name}_{len(self._folders) + 1}"] = folder
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the evaluations on the page."""
         return tuple(self._folders)
 
     def read(self, name: str) -> EvaluationReading:

@@ -114,6 +114,7 @@ def _prepare(context: WebContext, renders_ahead: bool) -> None:
     """Compiles templates and reads tables and ledger, so the first requests are fast. Requests report the errors."""
     with contextlib.suppress(FactoryError):
         dataset = context.workspace.dataset()
+        # beside a run, rendering ahead would take CPU time from the simulations
         if renders_ahead and not context.workspace.is_written():
             scenes, names = (dataset.column(name)[:_READ_AHEAD].to_pylist() for name in ("scene", "episode_id"))
             context.frames.prepare(first_frames(scenes, names))

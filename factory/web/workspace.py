@@ -1,7 +1,7 @@
 """Reads the dataset of a web page and the state of its run; keeps the table of episodes current. Serves nothing.
 
 A large table takes seconds to read, so changed files are read in the background and the old table is returned
-meanwhile.
+meanwhile. All columns are read at once, because with columns on demand, each first sorting or filter was slow.
 """
 
 from __future__ import annotations
@@ -171,7 +171,6 @@ class Workspace:
 
     @property
     def root(self) -> Place:
-        """Location of the dataset's files."""
         return self.site.place
 
     def table(self) -> EpisodeTable:

@@ -28,6 +28,7 @@ MIN_SHARE = 0.5
 """Smallest share of the votes with which a colour name can be dominant."""
 MAX_RIVAL = 0.36
 """Share of the votes from which the second most frequent name makes the colour ambiguous, so no name is dominant."""
+# without this limit, a table with a brown top on a white frame was called white
 _NEUTRALS = [_BLACK, _GRAY, _WHITE]
 _NEUTRAL_VOTE = 0.5
 """Votes of a black, gray or white sample; any other sample has one vote. So a blue chair on a black base is called

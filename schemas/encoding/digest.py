@@ -36,6 +36,8 @@ def content_digest(frame_digests: Sequence[str], arrays: Iterable[NDArray[np.gen
         arrays: arrays of the episode in the order of `schemas.encoding.arrays.EPISODE_ARRAYS`.
         canonical_meta: result of `EpisodeMeta.canonical()`.
     """
+    # from frame digests, so a damaged frame can be found without decoding the others; from decoded arrays and without
+    # provenance, so the digest depends neither on the build of the compressor nor on the worker
     digest = xxhash.xxh3_128()
     digest.update("".join(frame_digests).encode())
     for array in arrays:

@@ -65,6 +65,7 @@ def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uin
     Raises:
         InvalidBundle: the image has a different size, type, filter or chunk, a wrong CRC, or damaged data.
     """
+    # not Pillow, whose limit against decompression bombs is a setting of the whole process
     height, width = shape[:2]
     is_grey = len(shape) == 2
     body = _single_idat(name, data, _front(height, width, is_grey))

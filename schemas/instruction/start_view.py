@@ -22,6 +22,8 @@ from schemas.scene import MAX_INSTANCES
 
 IN_FRONT_RAD = math.radians(30)
 """Largest angle between the heading and the direction to a target that is "in front of you", radians."""
+# it is larger than `SpawnConfig.heading_noise_rad` (25 degrees by default), so near and mid starts meet it and far
+# starts are restricted; the target is then in the middle 58 % of an image with a field of view of 90 degrees
 
 Item = TypeVar("Item")
 InstanceId = Annotated[int, Field(ge=1, le=MAX_INSTANCES)]
@@ -128,6 +130,7 @@ def _rank_findings(
     min_pixels: int,
 ) -> list[str]:
     """Returns a sentence for each measure (distance, angle) by which the target's rank contradicts `ranks`."""
+    # a start faces its target, which without this would nearly always be the most central object of its category
     seen = see_objects(ids, depth, {target, *same_category}, camera, min_pixels)
     found = []
     measures = {"nearest": _range_of, "most central": _angle_of}

@@ -75,7 +75,6 @@ class Composer:
         ]
 
     def reader(self, code: str) -> Reader:
-        """Returns the reader of a language."""
         return self._by_language[code].reader
 
     def patterns_of(self, code: str, held_out: bool) -> frozenset[str]:
@@ -142,7 +141,6 @@ class Composer:
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator
     ) -> dict[frozenset[Family], list[ExpressionCandidate]]:
-        """Returns the expressions that a search finds, grouped by their features."""
         is_one = self.spec.fit == "one"
         kind = search.facts.graph.objects[number].kind
         groups: dict[frozenset[Family], list[ExpressionCandidate]] = defaultdict(list)
@@ -341,7 +339,6 @@ def explain_impossible(scene: SceneLanguage, spec: LanguageSpec, probes: Sequenc
 
 
 def _features(scene: SceneLanguage, composer: Composer, probes: Sequence[Probe]) -> Iterator[str]:
-    """Yields the features of each instruction that is written for the probes."""
     for place, (number, view) in enumerate(probes):
         rng = np.random.default_rng((composer.spec.seed, place))
         for one in composer.write(scene, view, number, False, rng):

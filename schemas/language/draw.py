@@ -13,7 +13,6 @@ Option = TypeVar("Option", bound=str)
 
 
 def draw_index(weights: Sequence[float], rng: np.random.Generator) -> int:
-    """Returns a position drawn by its weight."""
     if len(weights) == 1:
         return 0
     edges = list(accumulate(weights))
@@ -21,6 +20,5 @@ def draw_index(weights: Sequence[float], rng: np.random.Generator) -> int:
 
 
 def draw_weighted(shares: Mapping[Option, float], rng: np.random.Generator) -> Option:
-    """Returns a name drawn by its share."""
     names = list(shares)
     return names[draw_index([shares[name] for name in names], rng)]

@@ -73,7 +73,6 @@ class Kinds(Model):
     """Types of rooms, in the order in which they are tested."""
 
     def of(self, kind: str) -> ObjectKind:
-        """Returns the properties of a kind."""
         return self.kinds.get(kind, _DEFAULT)
 
     @cached_property
@@ -84,7 +83,6 @@ class Kinds(Model):
         )
 
     def superclasses_of(self, kind: str) -> tuple[str, ...]:
-        """Returns the superclasses of a kind."""
         return self._above.get(kind, ())
 
     def kinds_of(self, word: str) -> frozenset[str]:

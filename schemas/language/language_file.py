@@ -171,7 +171,6 @@ class LanguageSpec(Model):
 
     @property
     def families(self) -> frozenset[Family]:
-        """Features that may be used."""
         return frozenset(family for family in Family if self.features.get(family, 1.0) > 0)
 
 

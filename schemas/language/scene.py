@@ -37,5 +37,4 @@ class SceneLanguage:
 
     @cached_property
     def doorways(self) -> tuple[RoomPassage, ...]:
-        """Passages between rooms."""
         return find_doorways(self.graph)

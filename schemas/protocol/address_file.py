@@ -30,7 +30,6 @@ class CoordinatorAddress(NamedTuple):
 
 
 def write_address(root: Path, run: str, endpoints: Sequence[str]) -> None:
-    """Writes the address file of this process."""
     text = json.dumps({"run": run, "endpoints": list(endpoints), "pid": os.getpid()})
     part = root / f"{ADDRESS_FILE}.part"
     part.write_text(text, encoding="utf-8")
@@ -43,7 +42,6 @@ def mark_finished(root: Path, run: str) -> None:
 
 
 def remove_address(root: Path) -> None:
-    """Removes the address file."""
     (root / ADDRESS_FILE).unlink(missing_ok=True)
 
 

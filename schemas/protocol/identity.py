@@ -23,6 +23,7 @@ class Role(StrEnum):
     WORKER = "worker"  # claims jobs under its own name and serves its own spool
     OPERATOR = "operator"  # requests progress, retries and cancellations
     GATEWAY = "gateway"  # accepts workers, authenticates them to its coordinator, and archives their bundles
+    # not an operator, which may cancel jobs, and not a gateway, which may archive: an evaluation needs neither
     EVALUATOR = "evaluator"  # uses a coordinator's workers for evaluations, and accepts no connections
     COORDINATOR = "coordinator"  # accepts connections; no other role may act as coordinator
 

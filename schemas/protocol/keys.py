@@ -109,11 +109,11 @@ def sid_belongs_to(sid: str, host: str) -> bool:
 
     A host name has no dot, so a session id belongs to one host only.
     """
+    # not a dash, with which a session of the host `a` could belong to a host `a-b`
     return "." not in host and (sid == host or sid.startswith(f"{host}."))
 
 
 def host_of(sid: str) -> str:
-    """Returns the host of a session id."""
     return sid.partition(".")[0]
 
 

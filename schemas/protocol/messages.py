@@ -217,21 +217,26 @@ class BeatReply(Model):
     """Whether all jobs have ended; informs a worker whose simulations are paused or starting, which sends no claim."""
 
 
-class Done(Model):
-    """Announcement of a bundle that can be pulled; metadata only."""
+class SpooledBundle(Model):
+    """Finished bundle in the spool of a worker; also the sidecar file of the bundle."""
 
-    sid: SessionId
-    """Session id of the worker."""
     lease: Lease
     """Lease of the job."""
     sha256: Sha256
     """SHA-256 of the bundle."""
     size: Annotated[Bytes, Field(ge=1)]
     """Size of the bundle, bytes."""
-    via: RouterId | None = None
-    """Zenoh id of the router that the worker is connected to, as in `Beat`."""
     is_validated: bool = False
     """Whether the worker has validated the bundle."""
+
+
+class Done(SpooledBundle):
+    """Announcement of a bundle that can be pulled; metadata only."""
+
+    sid: SessionId
+    """Session id of the worker."""
+    via: RouterId | None = None
+    """Zenoh id of the router that the worker is connected to, as in `Beat`."""
 
 
 class Fail(Model):

@@ -2,6 +2,8 @@
 
 A camera or lidar has one member for each array and measurement, `sensors/NAME/ARRAY/STEP`; a sensor of motion has one
 for each array, `sensors/NAME/ARRAY`. Opens no container.
+
+Design: docs/design/data.md#a-rig-beside-the-recorded-camera.
 """
 
 from __future__ import annotations
@@ -137,7 +139,6 @@ class MeasurementDigest:
         self._digest = xxhash.xxh3_128()
 
     def add(self, arrays: Iterable[NDArray[Any]]) -> None:
-        """Adds the arrays of the next measurement."""
         for array in arrays:
             self._digest.update(np.ascontiguousarray(array).data)
 

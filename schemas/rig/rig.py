@@ -52,6 +52,7 @@ class Box(Model):
 class Rig(Model):
     """Named sensors of a robot."""
 
+    # data, because classes of users would run in the validator; not URDF, which has no noise and no distortion
     name: RigName
     """Name of the rig."""
     summary: Line = ""
@@ -65,7 +66,6 @@ class Rig(Model):
 
     @property
     def cameras(self) -> tuple[PinholeCamera | FisheyeCamera | EquirectangularCamera, ...]:
-        """The cameras of the rig."""
         kinds = PinholeCamera | FisheyeCamera | EquirectangularCamera
         return tuple(sensor for sensor in self.sensors if isinstance(sensor, kinds))
 

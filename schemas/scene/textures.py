@@ -1,6 +1,8 @@
 """Encodes and decodes the files of texture layers. Opens no path.
 
 Decoded layers are shared between the scenes of a process for as long as one of them is used.
+
+Design: docs/design/scenes.md#textures-are-files-beside-the-packages.
 """
 
 from __future__ import annotations

@@ -107,7 +107,6 @@ def _explain(place: Path, origin: str, reason: str) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Syncs the content of a file to disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)

@@ -90,11 +90,9 @@ class ObjectPath:
         return self.objects.stream(self.key)
 
     def read_bytes(self) -> bytes:
-        """Returns the content of an object."""
         return self.objects.read(self.key)
 
     def read_text(self, encoding: str = "utf-8") -> str:
-        """Returns the content of an object as text."""
         return self.read_bytes().decode(encoding)
 
     def stat(self) -> Stat:

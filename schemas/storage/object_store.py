@@ -119,7 +119,6 @@ class Objects:
         return list(found["common_prefixes"]), [Listed(item["path"], item["size"]) for item in found["objects"]]
 
     def copy(self, key: str, to: str) -> None:
-        """Copies an object within the store."""
         self._call("copy", key, lambda api, store: api.copy(store, key, to))
 
     def delete(self, *keys: str) -> None:

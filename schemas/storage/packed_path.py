@@ -32,7 +32,6 @@ class PackedPath:
 
     @property
     def stem(self) -> str:
-        """The name without its suffix."""
         return self.name.rpartition(".")[0]
 
     @property
@@ -71,7 +70,6 @@ class PackedPath:
         return data[self.offset - begin :]
 
     def stream(self) -> Iterator[bytes]:
-        """Yields the content of the file."""
         yield self.read_bytes()
 
     def stat(self) -> Stat:
@@ -93,6 +91,7 @@ class PackedPath:
         return False
 
     def _is_mine(self, data: bytes) -> bool:
+        # a coordinator that is killed before it writes the index, or a restored backup, leaves an outdated index
         header = read_local_header(data)
         return header is not None and (header.name, header.size) == (self.name, self.size)
 

@@ -52,7 +52,6 @@ class ShardIndex:
 
     @classmethod
     def of(cls, folder: Place, shards: Iterable[ShardDirectory]) -> ShardIndex:
-        """Returns the index of shards from their directories."""
         found = sorted(shards, key=lambda shard: shard.name)
         positions = [np.full(len(shard.numbers), position, np.int64) for position, shard in enumerate(found)]
         columns = [_joined(shard.numbers for shard in found), _joined(positions)]

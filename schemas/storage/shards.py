@@ -59,7 +59,6 @@ def shard_name(first: int, last: int, sha256: str) -> str:
 
 
 def is_shard(name: str) -> bool:
-    """Returns whether a file name is that of a shard."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -123,7 +122,6 @@ def salvage_shard(file: BinaryIO, name: str) -> ShardDirectory:
 
 
 def empty_directory(name: str) -> ShardDirectory:
-    """Returns the directory of a shard without episodes."""
     return _shard(name, (), (), ())
 
 

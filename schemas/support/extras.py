@@ -1,6 +1,8 @@
 """Checks for optional packages, and returns the command that installs the extra that contains them.
 
 Does not import them. The command depends on the source of this installation (checkout, wheel file, repository, index).
+
+Design: docs/design/program.md#base-installation-and-extras.
 """
 
 from __future__ import annotations

@@ -37,6 +37,7 @@ def describe_exit(status: int) -> str:
     return f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
 
 
+# lines of JSON instead of multiprocessing's queues, because unpickling a message can execute code
 class JsonlProcess(Generic[M]):
     """Child process, from its start to its end.
 
@@ -90,12 +91,10 @@ class JsonlProcess(Generic[M]):
 
     @property
     def pid(self) -> int:
-        """Process id."""
         return self._process.pid
 
     @property
     def is_running(self) -> bool:
-        """Whether the process has not ended."""
         return self._process.poll() is None
 
     def send(self, line: bytes) -> None:

@@ -13,7 +13,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.draw import to_job
 from coordinator.ledger import claims
 from coordinator.ledger.opening import planned_of
-from coordinator.ledger.outcomes import is_owned
+from coordinator.ledger.outcomes import is_recorded
 from coordinator.ledger.tables import jobs
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.reconcile import reconcile
@@ -88,7 +88,7 @@ def test_a_published_bundle_whose_commit_was_lost_is_adopted(scene):
     assert scene.states() == ["archived", "pending", "pending"]
     assert path.read_bytes() == bundle
     with scene.timed_ledger.open() as connection:
-        assert is_owned(connection, 1)
+        assert is_recorded(connection, 1)
     assert scene.start().adopted == []
 
 

@@ -16,9 +16,9 @@ from coordinator.ledger.database.engine import open_reader
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.tables import unchecked_episodes
 from coordinator.options import CoordinatorOptions
-from coordinator.protocol.bundles import Scope
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.validation.messages import Scope
 from coordinator.validation.validator import Validator
 from factory.dataset.reader import Dataset
 from schemas.errors import InvalidBundle

@@ -37,16 +37,13 @@ class ShiftedRenderer(Closing):
 
     @property
     def description(self) -> str:
-        """Description of the renderer."""
         return self._renderer.description
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
-        """Selects the scene and the recorded camera."""
         self._camera = camera
         self._renderer.load(scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
-        """Selects a scene by a key, and the recorded camera."""
         self._camera = camera
         self._renderer.load_by_key(key, read, camera)
 
@@ -60,7 +57,6 @@ class ShiftedRenderer(Closing):
         return Frame(image.rgb, image.depth, image.ids)
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
-        """Returns depth and ids of the frame that `render` returns."""
         frame = self.render(pose)
         return DepthAndIds(frame.depth, frame.ids)
 
@@ -77,7 +73,6 @@ _LEAST_HEIGHT_M = 0.02
 
 
 def draw_camera(ranges: CameraRanges, stream: FactorStream) -> CameraChange:
-    """Returns the change of the cameras of an episode."""
     names = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "focal", "exposure_stops")
     return CameraChange.model_validate({name: stream.between(getattr(ranges, name)) for name in names})
 

@@ -30,7 +30,6 @@ class AppearanceScene:
 
     @functools.cached_property
     def surfaces(self) -> SceneSurfaces:
-        """Surfaces of the scene."""
         return SceneSurfaces.of(self.scene)
 
 

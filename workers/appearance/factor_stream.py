@@ -45,5 +45,4 @@ class FactorStream:
         return int(self.share() * count)
 
     def choose(self, items: Sequence[Item]) -> Item:
-        """Returns one of the items."""
         return items[self.below(len(items))]

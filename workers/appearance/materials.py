@@ -1,6 +1,7 @@
 """Draws materials for the surfaces of a scene, and applies them. Pure functions.
 
-Objects keep the name of their colour, so instructions stay true; walls, floors and ceilings change freely.
+Objects keep the name of their colour, so instructions stay true; walls, floors and ceilings change freely. If objects
+that an instruction names kept their paint instead, targets would never vary.
 """
 
 from __future__ import annotations

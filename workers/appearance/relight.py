@@ -2,6 +2,8 @@
 
 With factor 1 and the neutral colour temperatures, the mix is the baked light map, bit for bit. Uses tables and integers
 where a result could depend on the processor.
+
+Design: docs/design/rendering.md#varied-light-is-mixed-from-shares.
 """
 
 from __future__ import annotations

@@ -65,7 +65,6 @@ def find_slots(scene: CompiledScene) -> tuple[list[SurfaceSlot], Ints]:
 
 
 def as_slot(change: SurfaceChange) -> SurfaceSlot:
-    """Returns the slot that a change applies to."""
     return SurfaceSlot(change.surface, change.layer, change.colour)
 
 

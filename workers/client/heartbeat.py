@@ -23,9 +23,9 @@ from schemas.protocol.messages import (
     HostMemory,
     LeaseProgress,
     RunKind,
+    SpooledBundle,
 )
 from workers.client.host import Host
-from workers.client.spool import Spooled
 
 _KIB = 1024
 
@@ -54,14 +54,12 @@ log = structlog.get_logger(__name__)
 
 
 def make_hello(sid: str, host: str, slots: int) -> Hello:
-    """Returns the registration message of a worker."""
     return Hello(sid=sid, host=host, slots=slots, version=version("minivla-factory"))
 
 
-def make_done(entry: Spooled, host: Host) -> Done:
+def make_done(entry: SpooledBundle, host: Host) -> Done:
     """Returns the announcement of a bundle in the spool."""
-    facts = entry.model_dump(exclude={"lease"})
-    return Done(sid=host.sid, lease=entry.lease, via=host.link.via, **facts)
+    return Done(sid=host.sid, via=host.link.via, **dict(entry))
 
 
 class Heartbeat:
@@ -103,7 +101,7 @@ class Heartbeat:
                 return
         self._check_for_evaluation()
 
-    def _beat_part(self, live: tuple[LeaseProgress, ...], spooled: tuple[Spooled, ...]) -> bool:
+    def _beat_part(self, live: tuple[LeaseProgress, ...], spooled: tuple[SpooledBundle, ...]) -> bool:
         """Sends one heartbeat with part of the leases; returns whether the coordinator answered."""
         host = self._host
         spool = tuple(entry.lease for entry in spooled)
@@ -127,7 +125,7 @@ class Heartbeat:
                 self._announce(entry)
         return True
 
-    def _announce(self, entry: Spooled) -> None:
+    def _announce(self, entry: SpooledBundle) -> None:
         """Repeats the announcement of a bundle, because the coordinator or this worker may have been restarted."""
         host = self._host
         host.link.ask(Verb.DONE, make_done(entry, host), Ack, host.phase.ask_timeout_s)

@@ -23,6 +23,9 @@ from workers.client.spool import Spool
 _MAX_HOST = 48
 _ASK_S, _HURRIED_ASK_S = 2.0, 0.8
 _BEATS_PER_LEASE = 4
+"""Heartbeats per lease time."""
+# with a lease of 15 s, heartbeats are 3 to 4.5 s apart, and one without an answer takes 2 s more: a lease always
+# outlasts one lost heartbeat (at most 11 s), and sometimes two (13 to 17.5 s)
 
 
 class Phase:
@@ -43,7 +46,6 @@ class Phase:
         self._finished: float | None = None
 
     def close(self) -> None:
-        """Stops claiming; current attempts finish."""
         self.closing.set()
         self.heartbeat_due.set()
 

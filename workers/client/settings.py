@@ -75,7 +75,6 @@ class WorkerSettings:
 
     @property
     def simulation_command(self) -> tuple[str, ...]:
-        """Command line of a simulation process."""
         return self.command or python_module("workers.sim.simulate", "--renderer", self.renderer)
 
     def command_for(self, run_kind: RunKind) -> tuple[str, ...]:

@@ -13,14 +13,12 @@ import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
 
 import structlog
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
-from schemas.base import Bytes, Model, Sha256
 from schemas.errors import WorldError
-from schemas.protocol.messages import Lease
+from schemas.protocol.messages import Lease, SpooledBundle
 from schemas.support.closing import Closing
 from schemas.support.log_limit import Repeated
 
@@ -44,19 +42,6 @@ def find_bundle(folder: Path, lease: Lease) -> Path | None:
         if entry is not None and entry.lease == lease:
             return sidecar.with_suffix(_BUNDLE)
     return None
-
-
-class Spooled(Model):
-    """Sidecar file of a finished bundle, with the data of its announcement."""
-
-    lease: Lease
-    """Lease of the job."""
-    sha256: Sha256
-    """SHA-256 of the bundle."""
-    size: Annotated[Bytes, Field(ge=1)]
-    """Size of the bundle, bytes."""
-    is_validated: bool = False
-    """Whether the worker has validated the bundle."""
 
 
 class Spool(Closing):
@@ -130,7 +115,7 @@ class Spool(Closing):
             bundle.unlink(missing_ok=True)
             bundle.with_name(bundle.name + _PART).unlink(missing_ok=True)
 
-    def add(self, lease: Lease, sha256: str, size: int, *, is_validated: bool = False) -> Spooled:
+    def add(self, lease: Lease, sha256: str, size: int, *, is_validated: bool = False) -> SpooledBundle:
         """Adds the complete and synced bundle at `path_for(lease)`; from now on it survives a crash.
 
         Args:
@@ -142,14 +127,14 @@ class Spool(Closing):
         Raises:
             WorldError: the sidecar cannot be written.
         """
-        entry = Spooled(lease=lease, sha256=sha256, size=size, is_validated=is_validated)
+        entry = SpooledBundle(lease=lease, sha256=sha256, size=size, is_validated=is_validated)
         with self._translated():
             _write_synced(self._file(lease, _SIDECAR), entry.model_dump_json().encode())
         with self._guard:
             self._entries[_key(lease)] = entry
         return entry
 
-    def entries(self) -> tuple[Spooled, ...]:
+    def entries(self) -> tuple[SpooledBundle, ...]:
         """Returns the bundles in the spool, oldest first."""
         with self._guard:
             return tuple(self._entries.values())
@@ -193,7 +178,6 @@ class Spool(Closing):
         return data
 
     def close(self) -> None:
-        """Unlocks the folder; the bundles stay in it."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -202,7 +186,7 @@ class Spool(Closing):
         with self._guard:
             return len(self._entries)
 
-    def _forget(self, entry: Spooled, why: str) -> None:
+    def _forget(self, entry: SpooledBundle, why: str) -> None:
         with self._guard:
             self._entries.pop(_key(entry.lease), None)
         log.warning("bundle_lost", job=entry.lease.job_id, why=why, remedy="not needed; the job runs again")
@@ -286,7 +270,7 @@ def _adopt(orphaned: Path, mine: Path) -> None:
             log.info("bundle_adopted", job=entry.lease.job_id, fence=entry.lease.fence)
 
 
-def _clean(folder: Path) -> list[Spooled]:
+def _clean(folder: Path) -> list[SpooledBundle]:
     """Removes incomplete files of a crashed worker; returns the complete bundles, oldest first."""
     whole = {}
     for sidecar in sorted(folder.glob(f"*{_SIDECAR}"), key=lambda path: path.stat().st_mtime_ns):
@@ -300,9 +284,9 @@ def _clean(folder: Path) -> list[Spooled]:
     return list(whole.values())
 
 
-def _read_sidecar(path: Path) -> Spooled | None:
+def _read_sidecar(path: Path) -> SpooledBundle | None:
     try:
-        entry = Spooled.model_validate_json(path.read_bytes())
+        entry = SpooledBundle.model_validate_json(path.read_bytes())
     except ValidationError:
         return None
     return entry if path.stem == _stem(entry.lease) else None

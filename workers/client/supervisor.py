@@ -25,6 +25,9 @@ from workers.client.spool import Spool, folder_of
 
 _POLL_S = 0.2
 _DRAIN_S = 3.5
+"""Time for replies of the coordinator after a stop, seconds."""
+# a stopped worker ends within 5 s; the remaining 1.5 s are for the poll of the signal, the end of the threads and the
+# exit of the process
 _JOIN_S = 2.0
 _FINISH_TIMEOUT_S = 5.0
 """Time after the end of a run for which a worker still asks the coordinator about its spooled bundles, seconds. The

@@ -69,7 +69,6 @@ def _pixels_by_column(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def foreground_window(task: TaskConfig) -> Window:
-    """Returns the foreground crop of an image."""
     top, bottom = (round(side * FRAME_SIZE_PX) for side in task.crop_rows)
     left, right = (round(side * FRAME_SIZE_PX) for side in task.crop_columns)
     return Window(top, left, bottom, right)
@@ -128,7 +127,6 @@ class Observation:
 
     @cached_property
     def frame(self) -> Frame:
-        """Frame with colour, depth and ids."""
         return self._renderer().render(self.pose)
 
     @cached_property
@@ -140,7 +138,6 @@ class Observation:
 
     @cached_property
     def target_mask(self) -> MaskMeasures:
-        """Measurements of the target in the image."""
         renderer, left = self._partial, 0
         if renderer is None:
             image = self.depth_and_ids

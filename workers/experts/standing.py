@@ -14,9 +14,7 @@ class StandingExpert:
     """Expert that commands no motion."""
 
     def begin(self, start: Pose, grid: Grid, target: Target) -> tuple[Waypoint, ...]:  # noqa: ARG002
-        """Returns no path."""
         return ()
 
     def act(self, seen: ExpertObservation) -> Twist:  # noqa: ARG002
-        """Returns no motion."""
         return Twist(0.0, 0.0)

@@ -46,7 +46,6 @@ class Grid:
 
     @classmethod
     def from_scene(cls, scene: CompiledScene) -> Self:
-        """Returns the grid of a compiled scene."""
         return cls(scene.occupancy, scene.info.grid_origin_m, scene.info.grid_resolution_m)
 
     @cached_property
@@ -176,7 +175,6 @@ class Grid:
         return seen
 
     def has_sight(self, xy: ArrayLike, target: Target) -> bool:
-        """Returns whether a point has a line of sight to a target."""
         return bool(self.have_sight(xy, target)[0])
 
     def connected_floor(self, seed_xy: ArrayLike | None = None, clearance_m: float = CONNECT_CLEARANCE_M) -> Bools:

@@ -77,7 +77,6 @@ class ShapePlacement(NamedTuple):
 
 
 def bullet_version() -> str:
-    """Returns the version of the installed package `pybullet`."""
     return version("pybullet")
 
 
@@ -248,7 +247,6 @@ class BulletClient(Closing):
         return texture
 
     def set_texture(self, body: int, texture: int) -> None:
-        """Assigns a texture to a body."""
         _p.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self._id)
 
     def camera_image(

@@ -176,6 +176,7 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, task: TaskConfig
     Returns:
         The length, or `None` if no path exists.
     """
+    # not the length of the planner's path, with which SPL would depend on the planner's settings
     goal = Goal.of(target, task)
     straight = _straight_m(grid, np.asarray(start_xy, float), target, goal)
     if straight is not None:

@@ -2,6 +2,8 @@
 
 Deterministic: the same grid, start, target and settings give the same path. The limit of a search is a number of
 expansions, not a time.
+
+Design: docs/design/experts.md#a-planner-of-this-project.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ _TUNABLES = "GLIBC_TUNABLES"
 _HUGE_PAGES = "glibc.malloc.hugetlb=1"
 """Tunable with which malloc requests transparent huge pages. Texture lookups then cause fewer TLB misses, which saves
 3-8 % of the rendering time of a frame for 5 MB of memory. Another libc, or a kernel without huge pages, ignores it."""
+# madvise is not possible, because Mesa allocates the memory, and its addresses are not known
 _FREED_ARRAYS = "glibc.malloc.mmap_threshold=4194304"
 """Tunable with which malloc returns freed arrays of 4 MiB and more, such as the textures of a scene, to the system. A
 process that prepares many scenes in turn then takes two thirds of the memory."""

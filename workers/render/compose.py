@@ -1,4 +1,7 @@
-"""Composes the image of any camera from an atlas of perspective faces. Does not render."""
+"""Composes the image of any camera from an atlas of perspective faces. Does not render.
+
+Design: docs/design/rendering.md#cameras-are-composed-of-faces.
+"""
 
 from __future__ import annotations
 

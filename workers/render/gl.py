@@ -106,7 +106,6 @@ class GlRenderer(Closing):
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
-        """Selects a scene by a key and the camera; see `Renderer`."""
         self._require_own_process()
         self._camera = camera
         with self._context:
@@ -131,6 +130,7 @@ class GlRenderer(Closing):
         Raises:
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
         """
+        # each call has a size, because a second renderer for small images would upload every scene again
         scene, image = self._loaded(), self._image(size)
         view = _look(scene, image, optical_pose(pose, self._camera))
         with self._context:

@@ -76,7 +76,6 @@ class Programs:
         self._made: dict[ShaderPair, _Program] = {}
 
     def of(self, pair: ShaderPair) -> _Program:
-        """Returns the program of these shaders."""
         if pair not in self._made:
             self._made[pair] = _Program(self._context, pair)
         return self._made[pair]
@@ -141,6 +140,7 @@ class GpuScene:
 
     def parts_before(self, drawn: DrawOrder, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:
         """Returns the drawn parts that may be visible between these edges up to a depth in metres, in drawing order."""
+        # the order of the whole image is kept, because it decides which of two surfaces of equal depth is visible
         return drawn.parts[may_reach(self._bounds.facts[:, drawn.parts], optical, edges, depth_m)]
 
     def parts_within(self, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:
@@ -187,7 +187,6 @@ class GpuScene:
         self._commands.write(self._draws[parts].tobytes())
 
     def close(self) -> None:
-        """Frees the device memory."""
         arrays: list[Any] = [self._plain, self._textured, self._uncoloured, *self._normals]
         for held in (*arrays, *self._mesh, self._commands, self._textures, self._light):
             held.release()

@@ -67,7 +67,6 @@ class GlTarget:
         self._images = context.framebuffer(self._layers, depth)
 
     def release(self) -> None:
-        """Frees the images."""
         for held in (self._images, self._depth, *self._layers):
             held.release()
 

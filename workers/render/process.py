@@ -3,6 +3,8 @@
 Mesa loads its driver, and with it LLVM, with RTLD_GLOBAL. A library with another LLVM that is loaded into the same
 process later, such as triton, is bound to Mesa's LLVM and crashes. The driver's threads do not survive a fork either.
 A process that has not loaded the driver has neither problem. This module loads no graphics library.
+
+Design: docs/design/rendering.md#rendering-in-another-process.
 """
 
 from __future__ import annotations
@@ -67,7 +69,6 @@ class ProcessRenderer(Closing):
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
-        """Selects a scene by a key and the camera; see `Renderer`."""
         self.load_package(key, lambda: encode_scene(read(), level=1), camera)
 
     def load_package(self, key: Hashable, read: Callable[[], bytes], camera: CameraConfig) -> None:

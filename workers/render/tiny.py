@@ -68,7 +68,6 @@ class TinyRenderer(Closing):
         self.load_by_key(id(scene), lambda: scene, camera)
 
     def load_by_key(self, key: Hashable, read: Callable[[], CompiledScene], camera: CameraConfig) -> None:
-        """Selects a scene by a key and the camera; see `Renderer`."""
         self._camera = camera
         self._scene = self._shelf.take(key, read)
         self._sky = SkyPainter(self._scene.sky)
@@ -164,7 +163,6 @@ class TinyScene:
             self.instance_of_body[body] = instance
 
     def close(self) -> None:
-        """Frees the client."""
         self.client.close()
 
 

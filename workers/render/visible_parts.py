@@ -43,7 +43,6 @@ class PartBounds:
 
     @classmethod
     def of(cls, scene: CompiledScene) -> PartBounds:
-        """Returns the bounding boxes of the parts of a scene."""
         count = len(scene.part_first)
         centre, half = np.zeros((count, 3)), np.full((count, 3), -np.inf)
         parts = np.flatnonzero(scene.part_count)

@@ -145,6 +145,7 @@ def hidden(disparity: Singles, second_view: Literal["left", "right"]) -> Bools:
     width = disparity.shape[1]
     columns = (np.arange(width, dtype=np.float32) - disparity).ravel()
     found = columns < 0
+    # the search starts at depth edges: a running minimum over each row took a third of the time of all depth noise
     pixels = np.flatnonzero(columns[:-1] >= columns[1:])
     pixels = pixels[(pixels + 1) % width > 0]
     nearer = columns[pixels + 1]

@@ -175,6 +175,7 @@ def exposed(images: NDArray[np.uint8], noise: ColourNoise) -> NDArray[np.uint8]:
     """
     if len(images) == 1:
         return np.asarray(images[0])
+    # several images, because one image that is warped by optical flow is wrong where surfaces appear
     light = (linear_of_codes() * (_LIGHT_LEVELS - 1)).astype(np.float32)
     total = np.zeros(images.shape[1:], np.float32)
     for image, weights in zip(images, row_weights(noise, images.shape[1]), strict=True):

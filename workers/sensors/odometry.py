@@ -34,7 +34,8 @@ def sense_odometry(odometry: WheelOdometry, twists: Floats, control_hz: int, key
 
     The motors turn the wheels as commanded, and the tyres slip on the floor: in PyBullet the wheel joints follow the
     commands to 2 mm over a drive of 4 m, while the robot drives a distance that is 0.4 % shorter. So the ticks are
-    computed from the commands; only the recorded poses contain the slip of the simulation.
+    computed from the commands; only the recorded poses contain the slip of the simulation, which ticks from poses would
+    hide.
 
     Args:
         odometry: nominal dimensions of the drive, ticks of the encoders, and noise.

@@ -63,6 +63,7 @@ class SceneRays:
     def _meet(self, met: NDArray[np.int32], origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """Returns distances (N,) to the planes of triangles, and scalar products (N,) of their normals and
         directions."""
+        # in float64 from the planes: Embree's own distances are float32, and their last bits differ between processors
         *normals, offsets = (row.take(met, mode="clip") for row in self._planes)
         slants = _dot(normals, directions.T)
         height = offsets - _dot(normals, origins.T)

@@ -1,4 +1,7 @@
-"""Determines target and sentence of an episode at its start, and questions at its end. Draws no start pose."""
+"""Determines target and sentence of an episode at its start, and questions at its end. Draws no start pose.
+
+Design: docs/design/language.md#the-sentence-is-written-when-the-start-is-known.
+"""
 
 from __future__ import annotations
 

@@ -35,7 +35,6 @@ class RenderedScene(NamedTuple):
 
     @property
     def change(self) -> CameraChange | None:
-        """Change of the cameras."""
         return None if self.drawn is None else self.drawn.camera
 
 

@@ -129,6 +129,7 @@ def _drive_and_seal(
     poses = done.arrays.poses
     if done.end_reason is not EndReason.SUCCESS:
         return AttemptFailure(FailReason(done.end_reason), done.end, len(poses))
+    # frames are rendered after the success only, because those of a failed attempt would be discarded
     writer, shown = BundleWriter(attempt.out, stage.timer), None
     if job.record is Recording.STATES:
         add_sampled_digests(writer, stage.renderer, job, poses)

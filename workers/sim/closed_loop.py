@@ -88,6 +88,7 @@ class Termination:
         return moved_m * self._task.control_hz < self._task.stationary_speed_mps
 
 
+# collection and evaluation share this loop: two loops would be known to be equal only in the cases that a test compares
 class ClosedLoop:
     """Closed loop of one episode: the caller calls `decide` with an action, then `advance`, until `decide` ends it.
 
@@ -117,7 +118,6 @@ class ClosedLoop:
 
     @property
     def steps(self) -> int:
-        """Number of actions so far."""
         return len(self._actions)
 
     @property
@@ -167,6 +167,7 @@ class ClosedLoop:
         With a false premise the goal is to stop at the start, so this is the distance to the start. It is infinite
         while the robot turns, because a turning robot has not stopped.
         """
+        # Design: docs/design/language.md#success-of-a-false-premise.
         if not self._job.is_false_premise:
             return view.distance_m
         return math.inf if abs(self.command.w_rps) > STOPPED_RPS else math.dist(self._poses[0][:2], self._poses[-1][:2])
@@ -188,6 +189,8 @@ class ClosedLoop:
 
 class _RendererHandle:
     """Releasable reference to the renderer. Observations hold it instead of the loop, so old frames are freed."""
+
+    # otherwise only the cyclic garbage collector would free them, and a call of it takes 50 ms
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer: Renderer | None = renderer

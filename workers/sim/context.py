@@ -165,7 +165,6 @@ class SceneRenderer(Closing):
         return self._loaded[sha256]
 
     def close(self) -> None:
-        """Closes the renderer."""
         self.renderer.close()
 
 

@@ -149,6 +149,7 @@ def _draw_on_grid(
     first = next(fitting, None)
     if first is None or not _is_screened(job) or job.spawn.screening is not Screening.FORESEEN:
         return first
+    # Design: docs/design/starts.md#predicted-drives.
     some = itertools.chain((first,), itertools.islice(fitting, _PREDICTIONS - 1))
     estimate = MaskEstimate(place.scene, target.instance_id, job.camera)
     best, most_m = first, -math.inf
@@ -190,7 +191,7 @@ def _distance_stream(job: Job, rng: np.random.Generator) -> np.random.Generator:
 
     If starts are drawn blindly, i.e. without a check for obstacles, all attempts at an episode share one stream of
     distances. Blind attempts from a large distance fail more often, so without a shared stream, the archived distances
-    would be shorter than those of the tier (docs/design/starts.md#screening).
+    would be shorter than those of the tier (docs/design/starts.md#blind-starts-of-paper).
     """
     if job.expert is ExpertName.PLANNER or job.spawn.needs_free_line:
         return rng
@@ -275,6 +276,7 @@ def _is_far(job: Job, target: Target, place: LoadedScene, xy: NDArray[np.float64
 
 
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
+    # experts that drive straight cannot pass corners, so many attempts with a blocked line would fail
     ends = Goal.of(target, job.task).approach(starts, ARRIVAL_RADIUS_M)
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 

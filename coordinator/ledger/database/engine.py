@@ -40,6 +40,7 @@ def write_closed_digest(url: str) -> None:
 
 def is_unchanged(url: str) -> bool:
     """Returns whether a ledger is unchanged since this version of the software closed it."""
+    # a flipped bit changes neither the size nor the time of a file, so all bytes are compared
     try:
         return any(file.with_suffix(_SUFFIX).read_text() == _digest(file) for file in _whole_file(url))
     except (OSError, UnicodeDecodeError):
@@ -77,7 +78,6 @@ _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_
 
 
 def sqlite_url(file: Path) -> str:
-    """Returns the URL of an SQLite ledger."""
     return f"sqlite:///{file}"
 
 

@@ -2,6 +2,7 @@
 
 The statements take part in SQLAlchemy's transactions and raise its exceptions. Building
 statement, parameters and result for each execution would take several times as long as the work of the database.
+A prepared statement must not return Boolean columns, because the drivers return them as integers.
 """
 
 from __future__ import annotations

@@ -69,7 +69,6 @@ class Writer(Closing):
 
     @property
     def is_alive(self) -> bool:
-        """Whether the threads run."""
         return all(thread.is_alive() for thread in self._threads)
 
     @property

@@ -107,7 +107,6 @@ class FarmReading:
 
 
 def read_farm(connection: Connection, now: datetime) -> FarmReading:
-    """Returns the state of the farm of an open ledger."""
     return FarmReading(
         cells=_cells(connection),
         running=_running(connection),

@@ -12,9 +12,9 @@ import structlog
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.options import CoordinatorOptions
-from coordinator.protocol.bundles import BundleFile, Scope, check_each
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.validation.messages import Scope, ValidationTask, check_each
 from coordinator.validation.validator import Validator
 from factory.bench.machine import cpu_s_of_children, measure_memory, resident_mib
 from factory.bench.results import Memory
@@ -67,8 +67,8 @@ class _AcceptAll:
         meta = self._meta.model_copy(update={"job": job, "episode_id": job.episode_id})
         return summary_of(meta, self._sha256, self._size)
 
-    def check_all(self, files: Sequence[BundleFile]) -> list[EpisodeSummary | InvalidBundle]:
-        return check_each(self.check, files)
+    def check_all(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> list[EpisodeSummary | InvalidBundle]:
+        return check_each(self.check, bundles)
 
     def close(self) -> None:
         pass

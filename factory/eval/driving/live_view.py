@@ -74,6 +74,7 @@ class RigSensors:
 
     def measure(self) -> SensorArrays:
         """Returns copies of the latest measurement of each sensor, which can be older than the current step."""
+        # also sensors that do not measure at this step, because Gymnasium needs the same arrays at every step
         track = self._simulator.trajectory()
         for sensor in self._rig.sensors:
             stride = sensor.stride(track.control_hz)

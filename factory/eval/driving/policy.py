@@ -97,6 +97,8 @@ class PrivilegedState:
 class PrivilegedPolicy(BlindPolicy):
     """Base class of policies with more information than a model; only built-in policies may derive from it."""
 
+    # a base class and not an attribute, because a user's class may use any attribute name for another purpose
+
     expert: ExpertName = ExpertName.PROPORTIONAL
     """Expert of the job in its `PrivilegedState`."""
 

@@ -101,7 +101,6 @@ class _EpisodeRun:
 
     @property
     def request(self) -> EvalRequest:
-        """Evaluation request of the episode."""
         return self.task.request
 
     def run(self, view: Observation) -> tuple[EvalEnd, str]:

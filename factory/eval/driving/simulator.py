@@ -101,7 +101,6 @@ class Simulator(Closing):
 
     @property
     def command(self) -> Twist:
-        """Current twist, after the slew limit."""
         return self._running.command
 
     @property

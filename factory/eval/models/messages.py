@@ -36,7 +36,6 @@ class EvalRequest(Model):
 
     @property
     def key(self) -> Key:
-        """Key of the result of this request."""
         return self.spec.spec_id, self.variant, self.instruction
 
 
@@ -115,7 +114,6 @@ class EvalReport(Model):
 
 
 def to_line(message: Model) -> bytes:
-    """Encodes a message as one line."""
     return message.model_dump_json().encode() + b"\n"
 
 

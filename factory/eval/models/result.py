@@ -37,7 +37,6 @@ class EvalEnd(StrEnum):
 
     @property
     def is_of_the_policy(self) -> bool:
-        """Returns whether the end is a policy failure."""
         return self.value.startswith("policy_")
 
 

@@ -41,7 +41,6 @@ class EvalSettings(Model):
 
     @classmethod
     def of(cls, source: Plan | Job) -> EvalSettings:
-        """Returns the settings of a plan or a job."""
         return cls(**{name: getattr(source, name) for name in cls.model_fields})
 
 

@@ -58,7 +58,6 @@ class _Recorded(PrivilegedPolicy):
     """Policy that executes the actions in the privileged state, then stops."""
 
     def enter(self, state: PrivilegedState) -> None:
-        """Stores the recorded actions."""
         if state.actions is None:
             raise UsageError(f"{state.simulator.spec.spec_id} does not come from an archived episode")
         self._actions = state.actions
@@ -93,7 +92,6 @@ class ExpertPolicy(PrivilegedPolicy):
         self.expert = expert
 
     def enter(self, state: PrivilegedState) -> None:
-        """Stores the privileged state."""
         self._state = state
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:  # noqa: ARG002
@@ -110,5 +108,4 @@ class ExpertPolicy(PrivilegedPolicy):
             raise PolicyFailure(PolicyFault.RAISED, f"no drivable path to {simulator.target.target_id} from {where}")
 
     def act(self, observation: PolicyInput) -> Twist:  # noqa: ARG002
-        """Returns the twist of the expert."""
         return self._expert.act(self._state.simulator.observe())

@@ -2,6 +2,8 @@
 stdout.
 
 The process exits when its parent exits. A policy that hangs or crashes affects this process only. Writes no results.
+
+Design: docs/design/evaluation.md#policy-and-simulation-share-a-process.
 """
 
 from __future__ import annotations
@@ -85,7 +87,6 @@ class _Driver:
         self._policy: Policy | None = None
 
     def wait(self, lines: queue.Queue[bytes]) -> bytes:
-        """Waits for the next order and returns it."""
         self._status.note(Activity.IDLE)
         return lines.get()
 
@@ -115,7 +116,7 @@ class _Driver:
         loaded = self._stage.load(order.package, sha256, light)
         result = run_episode(order.task, policy, self._simulator, loaded, self._status)
         if result.end is EvalEnd.POLICY_LOST:
-            # the server may have restarted: repeat the episode once
+            # the server may have restarted: repeat the episode once, so the result does not describe the network
             self._status.is_warm = False
             self._status.begin(Activity.SIMULATING)
             result = run_episode(order.task, policy, self._simulator, loaded, self._status)

@@ -21,6 +21,10 @@ from workers.process.one_core import one_core
 
 CHILD = python_module("factory.eval.process.child")
 _SIMULATION_S = 120.0
+"""Time limit of an activity that is not a call of the policy, seconds: opening the renderer, loading a scene, a step,
+or computing metrics."""
+# no progress is reported within an activity, so the limit is twice that of a simulation in data collection
+# (`WorkerSettings.hang_s`)
 _GRACE_S = 5.0
 """Additional time before a process with a policy on a server is killed, seconds. Such a policy enforces its time limit
 itself."""

@@ -64,7 +64,6 @@ class SharedStatus:
             return cls(os.dup(file.fileno()))
 
     def write(self, state: DriverStatus) -> None:
-        """Replaces the status."""
         body = _LAYOUT.pack(*state)
         self._memory[:] = body + _CHECK.pack(zlib.crc32(body))
 
@@ -100,7 +99,6 @@ class StatusWriter:
         simulation."""
 
     def note(self, busy: Activity) -> None:
-        """Writes the current activity."""
         self._state = self._state._replace(busy=busy, since_s=time.monotonic())
         self._shared.write(self._state)
 

@@ -60,11 +60,9 @@ class _EvalWorker:
         self._driver = DriverProcess()
 
     def tell(self, report: worker.SimulationReport) -> None:
-        """Sends a report to the worker."""
         self._out.write(worker.to_line(report))
 
     def serve(self, order: SimulationOrder) -> None:
-        """Executes one order and reports its result."""
         started, driver = time.monotonic(), self._driver
         task = EvalTask.model_validate_json(order.eval_task or "")
         if is_user_class(task.policy) and not self._may_import:

@@ -1,6 +1,8 @@
 """Runs a campaign on many machines: its tasks are the jobs of a run with ledger, leases and workers.
 
 Every result is archived once, then stored once. An interrupted campaign can be resumed. Runs no episodes.
+
+Design: docs/design/evaluation.md#a-distributed-evaluation-is-a-separate-run.
 """
 
 from __future__ import annotations
@@ -155,6 +157,7 @@ def _try_failed_again(root: Path) -> None:
 def _require_whole(root: Path, store: Store) -> None:
     with open_ledger(ledger_url_of(root)) as connection:
         failed = list_jobs(connection, JobFilter(states=(JobState.FAILED,)), limit=_NAMED)
+    # the jobs are not released again: if no worker has the module of the policy, the evaluation would never end
     if failed:
         reasons = "\n".join(f"  - {job.episode.target_id} in {job.episode.scene}: {job.reason}" for job in failed)
         raise WorldError(

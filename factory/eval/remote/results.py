@@ -15,7 +15,7 @@ from typing import Annotated, BinaryIO
 
 from pydantic import Field, ValidationError
 
-from coordinator.protocol.bundles import BundleFile, Scope, check_each
+from coordinator.validation.messages import Scope, ValidationTask, check_each
 from factory.eval.driving import measure
 from factory.eval.driving.rollout import TRACK_HZ, progresses, request_fields
 from factory.eval.models.messages import EvalTask
@@ -44,7 +44,6 @@ class ResultBundle(Model):
 
 
 def write_result_bundle(driven: ResultBundle, file: BinaryIO) -> None:
-    """Writes the bundle."""
     with ContainerWriter(file) as container:
         container.add(_MEMBER, driven.model_dump_json().encode())
 
@@ -130,9 +129,9 @@ class ResultValidator:
             file_bytes=size,
         )
 
-    def check_all(self, files: Sequence[BundleFile]) -> list[EvalReceipt | InvalidBundle]:
+    def check_all(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> list[EvalReceipt | InvalidBundle]:
         """Validates several bundles; returns the receipt or the violations of each."""
-        return check_each(self.check, files)
+        return check_each(self.check, bundles)
 
     def close(self) -> None:
         """Does nothing."""

@@ -101,7 +101,6 @@ def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attac
 
 
 def planned_of(task: EvalTask) -> PlannedJob:
-    """Returns a task as a row of the ledger."""
     return PlannedJob(task.number, 0, EpisodeSpec.of(task.request.spec, instruction=task.request.instruction))
 
 

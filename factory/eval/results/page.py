@@ -128,7 +128,6 @@ def _main_cells(score: Score) -> Sequence[MeasureCell]:
 
 
 def main_table(policies: Sequence[PolicyScores]) -> MeasureTable:
-    """Returns the main metrics of all policies."""
     rows = [[MeasureCell(policy.policy), *_main_cells(policy.overall)] for policy in policies]
     return MeasureTable("overview", "Main metrics", ("policy", *_MAIN_HEAD), [("", rows)])
 

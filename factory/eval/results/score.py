@@ -151,7 +151,6 @@ class PolicyScores(Model):
 
     @property
     def only_failed(self) -> bool:
-        """Returns whether every episode ended with a policy failure."""
         return 0 < self.overall.n == self.overall.policy_failure.count
 
 
@@ -230,7 +229,6 @@ def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[st
 
 
 def score(by: str, group: str, rows: Sequence[EpisodeResult]) -> Score:
-    """Returns the metrics of a group of episodes."""
     means = means_of({name: [getattr(row, field) for row in rows] for name, field in MEANS.items()})
     return Score(
         by=by,

@@ -57,7 +57,6 @@ class Store(Closing):
             self._agree(manifest)
 
     def close(self) -> None:
-        """Closes the logs."""
         for log in self._logs.values():
             log.close()
 
@@ -82,7 +81,6 @@ class Store(Closing):
         return self.root / _POLICIES / folder_name(policy)
 
     def note(self, note: PolicyNote) -> None:
-        """Writes the metadata of a policy."""
         folder = self.folder(note.policy)
         _write(folder / _NOTE, note)
 

@@ -66,6 +66,7 @@ def draw_frames(
     renderer.load(scene, camera)
     count = min(_FRAMES, len(result.track))
     board = _Map(scene, result, Goal.of(target, task))
+    # renders the recorded track again, because only a few failures are filmed, and filming every drive is slow
     for row in np.linspace(0, len(result.track) - 1, count).round().astype(int):
         pose = result.track[int(row)]
         rgb = renderer.render(Pose.planar(*pose, z=scene.info.floor_height_m)).rgb

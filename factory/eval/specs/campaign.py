@@ -158,7 +158,7 @@ def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -
     """
     entry = find_policy(policy)
     specs = campaign.specs
-    # a policy that reads no instruction runs the original variant only
+    # a policy that reads no instruction runs the original variant only; its language gap is 0 by construction
     variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
     needs_scenes = Variant.WRONG in variants
     scenes = {

@@ -105,7 +105,6 @@ def specs_of_dataset(
 
 
 def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
-    """Returns the spec of an archived episode."""
     meta, job = episode.meta, episode.meta.job
     drawn = _drawn_pose(meta, places.load(job.scene, job.scene_sha256))
     seen = categories_in_view(episode.ids(0), episode.instances, job.gains.min_mask_px)

@@ -188,6 +188,7 @@ def _draw_poses(job: Job, place: LoadedScene, stage: SceneRenderer) -> Iterator[
         is_on_floor = bool(place.grid.values_at(place.scene.reachable, body_centre(x, y, yaw), 0))
         if not (is_on_floor and place.grid.is_pose_free(x, y, yaw, job.spawn.margin_m)):
             continue
+        # without this test, "the chair in front of you" could be behind the robot
         if is_view_clear(job, place.scene.info, stage.renderer, Pose.planar(x, y, yaw, z=z)):
             yield x, y, yaw
             left -= 1

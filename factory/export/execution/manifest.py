@@ -113,7 +113,6 @@ def read_manifest(root: Path) -> ExportManifest | None:
 
 
 def write_manifest(out: Output, manifest: ExportManifest) -> None:
-    """Writes the manifest of an opened export."""
     out.write_text(MANIFEST_FILE, manifest.model_dump_json(indent=1) + "\n")
 
 

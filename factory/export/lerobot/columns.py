@@ -41,7 +41,6 @@ class FrameColumns:
 
 
 def kept_frames(steps: int, stride: int) -> range:
-    """Returns the indices of the exported frames."""
     return range(0, steps, stride)
 
 

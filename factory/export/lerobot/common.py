@@ -49,7 +49,6 @@ class DatasetStats:
         self._vectors: dict[str, RunningStats] = {}
 
     def merge(self, numbered: Numbered, stats: Stats) -> None:
-        """Adds the statistics of an episode."""
         for image in self._layout.images:
             self._images.setdefault(image.key, empty_tally(image)).merge(numbered.piece.facts.images[image.key])
         for name in self._layout.columns:
@@ -163,7 +162,6 @@ class LeRobotExport:
         self.out.write_text(CARD_FILE, export_card(self.meta, len(self.numbering), text, configs, ["LeRobot"]))
 
     def write_stats(self, stats: Stats) -> None:
-        """Writes the statistics of all episodes."""
         self._write_json("meta/stats.json", stats)
 
     def write_info(self, version: str, features: Mapping[str, Any] | None = None, **values: Any) -> None:

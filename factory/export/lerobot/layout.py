@@ -42,12 +42,10 @@ class ImageFeature(NamedTuple):
 
     @property
     def is_video(self) -> bool:
-        """Whether the feature is a video."""
         return self.output is not CameraOutput.IDS
 
     @property
     def channels(self) -> int:
-        """Number of channels."""
         return 3 if self.output is CameraOutput.RGB else 1
 
 
@@ -78,7 +76,6 @@ class Layout:
 
     @property
     def videos(self) -> tuple[ImageFeature, ...]:
-        """Image features that are videos."""
         return tuple(image for image in self.images if image.is_video)
 
     @property

@@ -20,6 +20,7 @@ Stats = dict[str, Any]
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _BINS = 4096
 _FEWEST, _MOST, _POWER = 100, 10_000, 0.75
+"""Parameters of the sample, as in LeRobot (`estimate_num_samples` in lerobot/datasets/compute_stats.py)."""
 
 
 def sampled_frames(frames: int) -> frozenset[int]:
@@ -75,12 +76,10 @@ class ImageTally:
         self.samples += 1
 
     def merge(self, other: ImageCounts) -> None:
-        """Adds the histogram of an episode."""
         self.counts[:, list(other.values)] += np.asarray(other.counts, np.int64)
         self.samples += other.samples
 
     def result(self) -> ImageCounts:
-        """Returns the histogram."""
         seen = np.flatnonzero(self.counts.any(axis=0))
         counts = tuple(tuple(row[seen].tolist()) for row in self.counts)
         return ImageCounts(samples=self.samples, values=tuple(seen.tolist()), counts=counts)
@@ -150,7 +149,6 @@ class RunningStats:
             self._bins[column] += np.bincount(places[:, column], minlength=_BINS)
 
     def result(self) -> Stats:
-        """Returns the statistics of all values."""
         assert self._low is not None, "nothing merged yet"
         assert self._bins is not None, "nothing added yet"
         rising = np.cumsum(self._bins, axis=1) / self._count

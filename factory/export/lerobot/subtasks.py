@@ -63,6 +63,7 @@ def question_rows(questions: Sequence[Question], camera: str, stride: int, frame
         frames: number of exported frames.
     """
     found: list[list[dict[str, Any]]] = [[] for _ in range(frames)]
+    # events, because a persistent row would be active until the next one, when its answer is no longer valid
     shared = {"style": "vqa", "camera": camera, "tool_calls": None}
     for each in questions:
         t = -(-each.start // stride)

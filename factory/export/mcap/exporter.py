@@ -122,7 +122,6 @@ class _Recording:
             self._out.add_attachment(start_ns, start_ns, RIG_FILE, "application/json", text.encode())
 
     def add(self, stamp_ns: int, message: TopicMessage) -> None:
-        """Appends a message."""
         profile = self._profile
         schema = message.kind or profile.topics[message.topic]
         if message.topic not in self._channels:

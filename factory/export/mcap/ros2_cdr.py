@@ -23,6 +23,7 @@ def encode(kind: str, values: Mapping[str, Any]) -> bytes:
     Raises:
         KeyError: the message type or a field is unknown.
     """
+    # rosbags serialises the message only: its writer of files cannot write attachments
     store = _store()
     return bytes(store.serialize_cdr(_message(store, kind, values), kind))
 

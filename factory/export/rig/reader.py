@@ -50,6 +50,7 @@ class SensorReader:
 
     def latest(self, name: str, t: int) -> Seen:
         """Returns the latest measurement of a camera or lidar at or before step t."""
+        # not interpolated: images cannot be, and an interpolated value would depend on the future
         step = self.latest_step(name, t)
         kept = self._kept.get(name)
         if kept is None or kept.step != step:

@@ -150,6 +150,7 @@ def _scene_of(root: Place, name: str, sha256: str) -> SceneInfo:
 
 def encode_glb(scene: CompiledScene) -> bytes:
     """Returns the visible triangles of a scene as .glb: one mesh per texture and one for plain colours."""
+    # not pygltflib, which installs eight packages and does not write meshes
     from trimesh import Scene
     from trimesh.exchange.gltf import export_glb
 

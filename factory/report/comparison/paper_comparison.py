@@ -55,6 +55,7 @@ def verdict_of(interval: Interval | None, target: Interval | None) -> Verdict | 
     """Returns the position of an interval relative to a target, or `None` if either is missing."""
     if interval is None or target is None:
         return None
+    # a small run can meet or miss a published number by chance, so its point estimate decides nothing
     if interval[1] < target[0] or target[1] < interval[0]:
         return "outside"
     return "inside" if target[0] <= interval[0] and interval[1] <= target[1] else "undecided"

@@ -55,7 +55,6 @@ class TableCells:
 
 
 def format_comparison(row: PaperComparison) -> ComparisonCells:
-    """Formats a comparison."""
     published = _format_value(row, row.published)
     if row.published_high is not None:
         published = f"{number(100 * row.published, 0)}–{number(100 * row.published_high, 0)} %"

@@ -1,6 +1,8 @@
 """Arranges halls on a floor, and the blocks of rooms between them: no hall, a straight hall, a T, an L or a ring.
 
 Pure: works on rectangles in metres and a random generator. Does not cut blocks into rooms.
+
+Design: docs/design/scenes.md#halls-are-arranged-before-rooms.
 """
 
 from __future__ import annotations

@@ -49,7 +49,6 @@ def content_of(plan: FloorPlan, name: str, made_from: str) -> Extraction:
 
 
 def by_material(pieces: Iterable[PropPiece]) -> dict[str, list[PropPiece]]:
-    """Returns the pieces by the name of their material."""
     groups: dict[str, list[PropPiece]] = {}
     for piece in pieces:
         groups.setdefault(piece.material.name, []).append(piece)

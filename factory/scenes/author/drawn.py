@@ -17,6 +17,8 @@ from schemas.scene import Layer, TextureFile
 from schemas.scene.textures import decode_texture, encode_texture, remember_encoded
 
 _SEED = 0
+"""Seed of all textures."""
+# it does not depend on the layout, so all layouts share the files of their textures
 _KEPT = 64
 _FOLDER = "drawn"
 

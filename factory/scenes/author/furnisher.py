@@ -323,6 +323,7 @@ class Furnisher:
 
     def hang_all(self) -> None:
         """Mounts the recorded wall objects on free parts of the walls, away from the openings."""
+        # after all furniture is placed, so tall pieces still find a free wall
         for name in self.to_hang:
             model = self.model(name)
             for side in self.sides() * 3:

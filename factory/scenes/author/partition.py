@@ -84,6 +84,7 @@ def divide_floor(
     Raises:
         WorldError: no division was found.
     """
+    # not from templates with random dimensions, which would repeat one graph of rooms
     outline, centre = floor, floor.centre
     for number in range(_OUTLINES * _TRIES):
         if number and number % _TRIES == 0:

@@ -143,6 +143,7 @@ class _Strip(NamedTuple):
 
     def leaf(self, along: tuple[float, float], side: float, z: tuple[float, float]) -> AuthoredMesh:
         """Returns the half of the wall on one side, without its inner face, which is hidden."""
+        # the scenes have no hidden faces, because every triangle takes time in each frame
         return self._backless(along, side, (0.0, WALL_THICKNESS_M / 2), z)
 
     def applied(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> AuthoredMesh:

@@ -34,6 +34,10 @@ from schemas.support.numpy_types import Floats
 
 _SANE_RADIUS_M = 200.0
 _SANE_SPREAD = 5.0
+"""A part is omitted if it is farther from the median of all parts than the radius, and than the spread times the median
+distance."""
+# in a site with evenly distributed parts, no part is farther than twice the median distance, so large sites keep their
+# outskirts. A test omits a book 344 km above its room
 _FARTHEST_M = 9000.0
 _MAX_NOTES = 200
 

@@ -56,6 +56,7 @@ def find_terrain(shown: ShownScene, solid: Floats, floor_m: float) -> Terrain:
 
 def _taken(candidates: Sequence[Candidate], floor_m: float) -> Floats:
     """Returns the corners x, y (K, 2, 2) of the boxes of candidates whose bottom is below `HIGHEST_BOTTOM_M`."""
+    # otherwise, episodes start beneath the boards of shelves, of which only the legs are at the height of the robot
     boxes = [candidate.box for candidate in candidates if candidate.box[0, 2] - floor_m < HIGHEST_BOTTOM_M]
     return np.array([box[:, :2] for box in boxes]).reshape(-1, 2, 2)
 

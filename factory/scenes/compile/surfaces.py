@@ -58,6 +58,7 @@ _IMITATION = frozenset(("fake", "faux", "imitation", "look", "effect", "like", "
 
 def substance_of(surface: Surface) -> str:
     """Returns the substance of a surface; `unknown` if its name states no substance or several."""
+    # names, because colours cannot distinguish brown paint and oak
     names = (surface.name, PurePosixPath(surface.texture.replace("\\", "/")).stem)
     for name in names:  # the name of the material takes precedence over that of its texture
         words = {word.lower() for word in _WORD.findall(name)}

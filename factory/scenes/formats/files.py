@@ -81,6 +81,7 @@ class SceneFiles:
         Raises:
             WorldError: some references cannot be used; the message names all of them.
         """
+        # missing files are skipped on request only: the robot would drive through a missing wall
         for reason in self._faults.keys() - {_OUTSIDE} if may_skip and self.scene.limits.skip_missing else ():
             lost = self._faults.pop(reason)
             self.scene.notes += [f"{user}: {name} is missing, skipped" for name, user in lost.items()]

@@ -38,7 +38,10 @@ def sibling(layer_path: str, name: str) -> str:
 
 @dataclass(frozen=True)
 class ReadableFolder:
-    """Folder of the root layer, from which an import may read textures."""
+    """Folder of the root layer, from which an import may read textures.
+
+    A stage of another author could name any file of the user as a texture.
+    """
 
     root_layer: Path
     is_open: bool

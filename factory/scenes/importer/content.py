@@ -70,6 +70,8 @@ class TextureRecipe(NamedTuple):
 class Extraction:
     """Content of a stage, in the order of its prims."""
 
+    # the readers of all formats return it; USD cannot be the common form, because images in a GLB file have no path
+
     parts: tuple[Part, ...]
     metres_per_unit: float
     labels: dict[str, str]

@@ -1,6 +1,7 @@
 """Formats diagnostics of USD as single lines that are equal on every machine and in every run.
 
-Removes memory addresses and directories, which would make two imports of one stage differ. Does not call USD.
+Removes memory addresses and directories, which would make two imports of one stage differ. If the notes were excluded
+from the digest instead, packages with the same digest would have different bytes. Does not call USD.
 """
 
 from __future__ import annotations

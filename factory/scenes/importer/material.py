@@ -139,6 +139,7 @@ def _through(shader: Any, hops: int) -> Any | None:
 
 def _one_tile(material: Any, surface: Surface, notes: list[str]) -> Surface:
     """Returns the surface with the first tile of a UDIM texture, which the renderer repeats."""
+    # too few stages have UDIM textures to justify an atlas of all tiles
     if not UsdShade.UdimUtils.IsUdimIdentifier(surface.texture):
         return surface
     for spec in material.GetPrim().GetPrimStack():

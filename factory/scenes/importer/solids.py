@@ -22,7 +22,6 @@ _TURN = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
 
 
 def box(half_x: float, half_y: float, half_z: float) -> Polygons:
-    """Returns a box of given half lengths."""
     square = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
     points = np.array([(x, y, z) for z in (-half_z, half_z) for x, y in square])
     return points, np.full(6, 4), np.array(_CUBE)
@@ -36,7 +35,6 @@ def plane(half_x: float, half_y: float) -> Polygons:
 
 
 def sphere(radius: float) -> Polygons:
-    """Returns a sphere."""
     return _lathe(_arc(radius, 0.0, -math.pi / 2, math.pi / 2))
 
 

@@ -105,6 +105,8 @@ def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
         triangles: (T, 3, 3) corners, world metres.
         groups: (T,) group of each triangle; normals are not smoothed across groups.
     """
+    # normals make the light of round surfaces smooth: an average of the light over neighbouring charts shows seams, and
+    # smooth light from the shader takes time in each frame
     if len(triangles) > _MOST_TRIANGLES:
         corners = np.repeat(charts.axes[charts.of_triangle, 2][:, None], 3, axis=1)
     else:

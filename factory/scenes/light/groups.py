@@ -2,6 +2,8 @@
 
 Needs the package only. Does not change the light map; the result is the share of each group in its light. Results are
 kept in the cache; one process bakes them, and others wait.
+
+Design: docs/design/rendering.md#varied-light-is-mixed-from-shares.
 """
 
 from __future__ import annotations

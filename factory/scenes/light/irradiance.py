@@ -22,6 +22,8 @@ from workers.geometry.rays import Caster
 _SMALLEST_M2 = 0.05
 _MOST = 512
 _HUNG_HEIGHT_M, _HUNG_SIDE_M, _HUNG_EVERY_M = 2.6, 0.6, 4.0
+"""Height above the floor, side and spacing of the lamps that a scene gets if it has no emissive surface of at least
+`_SMALLEST_M2`, metres: panels below the ceiling of a room of usual height."""
 _NEAR_M2 = 0.15
 """Added to squared distances from lamps, square metres, so walls next to a lamp are not overexposed."""
 
@@ -45,7 +47,6 @@ class Lamps:
         return np.asarray(self.corner + self.sides.sum(axis=1) / 2)
 
     def chosen(self, rows: NDArray[np.intp]) -> Lamps:
-        """Returns a selection of the lamps."""
         return Lamps(self.corner[rows], self.sides[rows], self.normal[rows], self.power[rows])
 
 
@@ -110,6 +111,9 @@ def light_from(lamps: Lamps, near: Ints, points: Singles, normals: Singles) -> S
 
 
 _REACH_M = 1.6
+"""Length of the rays to the surroundings, metres."""
+# in a closed room every ray meets a surface, so a longer reach darkens whole rooms, and a shorter one shades only the
+# immediate surroundings of objects. No measurement of it is recorded
 _CELL_M = 2.5
 _LAMPS_A_CELL = 24
 _HIDDEN_SHARE = 0.35

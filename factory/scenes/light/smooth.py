@@ -55,6 +55,7 @@ def _correction(grey: Floats) -> float:
     """Returns the exposure factor: above 1 for dark scenes, below 1 for light ones."""
     if not len(grey):
         return 1.0
+    # light that is scaled to the same mean in all scenes overexposes scenes with white surfaces
     wanted = (_GREY / max(float(grey.mean()), 1e-3)) ** _ADAPTATION
     return float(np.clip(wanted, 1 / _MOST_CORRECTION, _MOST_CORRECTION))
 

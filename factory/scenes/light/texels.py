@@ -16,6 +16,8 @@ PATTERNS = 64
 """Number of ray patterns."""
 SPOTS = 4
 """Number of positions of a texel at which rays start."""
+# with one position, an object above that point darkened the whole texel, and smoothing spread the darkness to visible
+# neighbours
 _OFFSETS = np.array(((-0.25, -0.25), (0.25, 0.25), (0.25, -0.25), (-0.25, 0.25)))
 """(SPOTS, 2) positions relative to the centre of a texel of a flat chart, texels."""
 _LIFT_M = 0.006
@@ -23,6 +25,7 @@ _INSET, _BENT_INSET = 0.1, 0.03
 """Least distance of a ray's start from the edge of a flat chart, and from the edge of a curved chart, texels."""
 _LARGE = 8
 """A flat chart is large if its shorter side has at least this length, texels."""
+# only every other texel of a large chart casts rays, because the light is averaged over 3 x 3 texels anyway
 _DITHER = np.array((0.7548776662466927, 0.5698402909980532))
 """Steps of the R2 sequence (plastic number), which spread the patterns evenly over neighbouring texels."""
 

@@ -16,6 +16,9 @@ FLOOR_TOLERANCE_M = 0.03
 _BIN_M = 0.02
 _MIN_AREA_M2 = 2.0
 _MIN_SHARE = 0.4
+"""Area of the floor as a share of the largest level."""
+# less than 1, because a roof or a slab above can be larger than the floor that furniture and walls divide; a pit or a
+# hatch below the floor is far smaller
 
 
 def _facing_up(triangles: Floats) -> tuple[Floats, Floats]:

@@ -68,13 +68,6 @@ class Distribution:
 
 
 def measure_layout(seed: int, plan: FloorPlan, scene: CompiledScene) -> LayoutFacts:
-    """Measures one layout.
-
-    Args:
-        seed: seed of the layout.
-        plan: floor plan of the layout, for its rooms.
-        scene: compiled scene of the layout.
-    """
     (west, south, _), (east, north, _) = scene.info.bounds_m
     area = (east - west) * (north - south)
     degrees = [len(room.neighbours) for room in plan.rooms] or [0]

@@ -22,6 +22,9 @@ MIN_SPAWNS = 40
 """Recommended minimum number of spawn points of a scene (docs/design/scenes.md#surveyed-points)."""
 _USUAL, _MANY, _BIG_AREA_M2 = 64, 96, 250.0
 _HEADINGS, _MIN_FREE_HEADINGS = 16, 12
+"""Number of tested headings, and of headings that must be free."""
+# the heading of a far start is drawn at random, so about a quarter of the draws at a point fails at most; with all 16,
+# points beside walls and in aisles would be lost
 _CLOSEST_M = 0.3
 
 

@@ -62,6 +62,7 @@ def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -
     """Returns the enabled targets with the ids of the list."""
     if chosen is None:
         return targets
+    # the list is complete, not a list of changes: a target whose line the user deleted is removed
     names = {entry.prim_path: entry.id for entry in chosen.targets if entry.enabled}
     return tuple(
         target.model_copy(update={"target_id": names[target.prim_path]})
@@ -71,7 +72,6 @@ def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -
 
 
 def recoloured(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
-    """Returns the targets with the colours of the list."""
     colours = {} if chosen is None else {entry.prim_path: entry.colour for entry in chosen.targets}
     return tuple(
         target.model_copy(update={"colour": colours.get(target.prim_path, target.colour)}) for target in targets

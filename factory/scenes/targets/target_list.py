@@ -71,7 +71,6 @@ class TargetList(Model):
 
 
 def list_file_name(scene: str) -> str:
-    """Returns the file name of the target list of a scene."""
     return f"targets_{scene}.yaml"
 
 

@@ -1,7 +1,8 @@
 """Process that draws the figures of a dataset: `python -m factory.web.figures.process DATASET`.
 
 It writes one `Message` on each line of its output, and keeps figures in the cache by the tables of the dataset. It has
-a low priority, so it does not slow a run on the same machine.
+a low priority, so it does not slow a run on the same machine. A thread of the server would hold the interpreter lock
+and delay other pages.
 """
 
 from __future__ import annotations

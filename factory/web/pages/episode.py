@@ -114,7 +114,6 @@ class TrackView:
 
     @property
     def view_box(self) -> str:
-        """View box of the map."""
         return f"{self.box[0]} {self.box[1]} {self.box[2]} {self.box[2]}"
 
 

@@ -36,12 +36,10 @@ _SHOWN = (
 
 
 def routes() -> list[Route]:
-    """Returns the route of the page."""
     return [Route("/episodes", show)]
 
 
 def show(request: Request) -> Response:
-    """Answers with one page of the table."""
     context = context_of(request)
     query = parse_query(request.query_params)
     table = context.workspace.table_within(_PATIENCE_S)

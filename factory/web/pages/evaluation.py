@@ -23,7 +23,6 @@ _KINDS = {".mp4": "video/mp4", ".jpg": "image/jpeg"}
 
 
 def routes() -> list[Route]:
-    """Returns the routes of the pages and the videos."""
     here = "/evaluations/{name}"
     return [
         Route("/evaluations", show_all),

@@ -73,7 +73,6 @@ def routes(view: Recent[FarmView]) -> list[Route]:
 
 
 def show(request: Request) -> Response:
-    """Answers with the page."""
     view = context_of(request).farm.get()
     return page(request, "farm", "Farm", fragment=view.fragment, failed_scenes=view.failed_scenes)
 

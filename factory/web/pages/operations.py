@@ -34,7 +34,6 @@ _NAMED = 20
 
 
 def routes() -> list[Route]:
-    """Returns the route of the pages."""
     return [Route("/operations/{action}", operate, methods=["GET", "POST"])]
 
 
@@ -78,7 +77,6 @@ def _request(action: AdminAction, fields: dict[str, str]) -> AdminRequest:
 
 
 def _describe(action: AdminAction, reply: AdminReply) -> str:
-    """Returns the result of a request as text."""
     names = [*map(episode_id, reply.changed[:_NAMED]), *reply.hosts[:_NAMED]]
     count = len(reply.changed) + len(reply.hosts)
     refused = "; ".join(f"{episode_id(index)}: {reason}" for index, reason in list(reply.refused.items())[:_NAMED])

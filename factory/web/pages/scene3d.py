@@ -25,12 +25,13 @@ _making = threading.Lock()
 
 
 def routes() -> list[Route]:
-    """Returns the routes of the page and of the mesh."""
     return [Route("/scenes/{name}/3d", show), Route("/scenes/{name}/scene.glb", mesh)]
 
 
 def show(request: Request) -> Response:
     """Answers with the page; `?episode=ID` adds the trajectory and the robot of an episode."""
+    # the page has a separate reader of the mesh: GLTFLoader of three.js needs an import map, which is an inline script,
+    # and the content security policy forbids these
     context, name = context_of(request), request.path_params["name"]
     package = package_named(context, name)
     given = request.query_params.get("episode")

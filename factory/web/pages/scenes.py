@@ -26,7 +26,6 @@ _PAGE_SCENES = 24
 
 
 def routes() -> list[Route]:
-    """Returns the routes of the pages and their images."""
     return [
         Route("/scenes", show_all),
         Route("/scenes/{name}", show),
@@ -61,7 +60,6 @@ def show_all(request: Request) -> Response:
 
 
 def show(request: Request) -> Response:
-    """Answers with the page of a scene."""
     context, name = context_of(request), request.path_params["name"]
     floor = context.floors.of(package_named(context, name))
     by_target, views, fault = _of_scene(context, name)

@@ -11,7 +11,6 @@ from factory.web.context import context_of, page, svg_image
 
 
 def routes() -> list[Route]:
-    """Returns the routes of the page and its images."""
     return [Route("/statistics", show), Route("/statistics/{name}.svg", image)]
 
 

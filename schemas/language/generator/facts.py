@@ -249,7 +249,6 @@ class SceneFacts:
         return detour < 1.2 * length and bool(self.between(first, second).sure[number])
 
     def between(self, first: int, second: int) -> Masks:
-        """Returns which objects are between two objects."""
         start, way = self.centre[first], self.centre[second] - self.centre[first]
         length = float(np.hypot(*way))
         if length < 0.5 or length >= limit.BETWEEN_SPAN_M.bad:

@@ -67,7 +67,6 @@ class ExpressionCandidate(NamedTuple):
         return self.size, self.ordinal, self.superlative
 
     def families(self, kind: str) -> frozenset[Family]:
-        """Returns the features of the expression for an object of a kind."""
         named = {
             Family.COLOUR: self.head.colour,
             Family.MATERIAL: self.head.material,
@@ -80,7 +79,6 @@ class ExpressionCandidate(NamedTuple):
         return frozenset(found | {FAMILY[part.clause.relation] for part in self.parts})
 
     def expression(self, definite: bool = True) -> Expression:
-        """Returns the expression."""
         clauses = tuple(part.clause for part in self.parts)
         return Expression(
             kind=self.head.kind,
@@ -122,7 +120,6 @@ class Search:
 
     @property
     def facts(self) -> SceneFacts:
-        """Relations of the scene."""
         return self.scene.facts
 
     @property

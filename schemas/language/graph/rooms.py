@@ -32,6 +32,8 @@ _SHORTEST_RUN_M = 0.4
 _FAR_M = 4.0
 _DIRECTIONS = 12
 _CAVITY_CELLS = 3
+"""Largest gap in a hollow wall, cells. A wall is hollow if a scene has its two surfaces and nothing in between."""
+# with cells of 0.05 m, walls up to 0.2 m thick are filled; the built-in walls are 0.12 m thick
 _FLAT_M, _AT_WALL_M, _FRONT_M = 0.1, 0.15, 0.1
 _HIDING = 2
 

@@ -91,6 +91,7 @@ def find_tops(scene: CompiledScene, objects: Mapping[int, tuple[Sequence[int], F
     """
     if not objects:
         return {}
+    # of all instances, also those that no word names: a table with papers on it is not empty
     faces = scene.positions.reshape(-1, 3, 3).astype(np.float64)
     order = np.argsort(scene.part_first, kind="stable")
     owner = np.repeat(scene.part_instance[order].astype(np.int64), scene.part_count[order] // 3)
@@ -262,7 +263,6 @@ class SceneGraph:
 
 
 def build_graph(scene: CompiledScene) -> SceneGraph:
-    """Returns the scene graph of a compiled scene."""
     table, info = kinds(), scene.info
     raw = find_objects(scene, table)
     occupancy = CellGrid(scene.occupancy, info.grid_origin_m, info.grid_resolution_m)

@@ -88,6 +88,7 @@ class QuestionComposer:
             rng: random generator.
         """
         verifier = QuestionVerifier(place, episode.poses, episode.number)
+        # answers come from the scene graph and the poses, because recordings of states have no images
         search, found = _Answers(place, episode, self._composer, rng), []
         for kind in QuestionKind:
             if kind in (QuestionKind.WHERE, QuestionKind.NEXT) and episode.is_false_premise:

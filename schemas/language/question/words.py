@@ -139,5 +139,4 @@ class QuestionWords(Model):
 
 @cache
 def question_words(code: str) -> QuestionWords:
-    """Returns the words of questions in a language."""
     return QuestionWords.model_validate(tomllib.loads((DATA / f"question_{code}.toml").read_text(encoding="utf-8")))

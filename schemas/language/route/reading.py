@@ -57,7 +57,6 @@ class RouteReader:
         return list(found)
 
     def read_step(self, text: str) -> list[RouteStep]:
-        """Returns all readings of the sentence of one step."""
         whole = self._language.normal(text.strip()).removesuffix(self._words.full_stop)
         return list(dict.fromkeys(step for form in self._clauses for step in self._clause(whole, form)))
 
@@ -66,7 +65,6 @@ class RouteReader:
         return list(itertools.islice(itertools.product(*options), _MOST_READINGS))
 
     def _clause(self, text: str, form: str) -> list[RouteStep]:
-        """Returns all meanings of a step."""
         found = []
         for each in self._clauses[form]:
             match = each.pattern.fullmatch(text)

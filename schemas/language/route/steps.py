@@ -36,6 +36,7 @@ _BEYOND_M = 0.3
 _APART_M = 2.0
 """Minimum distance that the robot drives after one named object until it has passed the next one, metres."""
 _NEAR_M = 3.0
+"""Gap within which an object is near a step, metres; 1 m more than in the verifier, like the distances in `_rivals`."""
 _NEARER_M = (4.0, 2.5, 1.5, 0.8, 0.4, 0.2)
 """Distances before the end of the path at which the last step may begin, metres. They are tried in this order, until
 a description fits only the target."""
@@ -67,7 +68,6 @@ class SceneRoutes:
 
     @property
     def doorways(self) -> tuple[RoomPassage, ...]:
-        """Passages between rooms."""
         return self.scene.doorways
 
 

@@ -24,6 +24,9 @@ from schemas.language.route.replay import PoseReplay
 from schemas.language.verifier.verify import Verifier
 
 _NEAR_M = 2.0
+"""Gap within which an object is near a step, metres."""
+# the search of steps uses 3 m (`_NEAR_M` in `steps.py`), because it measures to rectangles and at other frames; the
+# margin keeps it from steps that this verifier would reject
 
 
 class RouteVerifier:

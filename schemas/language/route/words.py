@@ -128,5 +128,4 @@ def clause_of(step: RouteStep) -> str:
 
 @cache
 def route_words(code: str) -> RouteWords:
-    """Returns the words of routes in a language."""
     return RouteWords.model_validate(tomllib.loads((DATA / f"route_{code}.toml").read_text(encoding="utf-8")))

@@ -60,6 +60,7 @@ def mistake_fault(text: str, clean: str, kind: MistakeKind, code: str, vocabular
         code: code of the language.
         vocabulary: words of the grammar, in lower case.
     """
+    # compares with the clean sentence: a reader that tolerates errors would accept "left" for "lift"
     if kind is MistakeKind.SPEECH:
         return "" if _is_misspoken(text, clean, code) else "it is not the clean sentence with a filler or a repetition"
     ours, theirs = _WORD.split(text), _WORD.split(clean)

@@ -24,12 +24,10 @@ class Truth(IntEnum):
 
 
 def at_most(value: float, band: Band) -> Truth:
-    """Returns whether a measure is small enough."""
     return Truth.YES if value <= band.good else Truth.MAYBE if value < band.bad else Truth.NO
 
 
 def at_least(value: float, band: Band) -> Truth:
-    """Returns whether a measure is large enough."""
     return Truth.YES if value >= band.good else Truth.MAYBE if value > band.bad else Truth.NO
 
 
@@ -138,7 +136,6 @@ class Footprints:
         )
 
     def rests_on(self, number: int, other: int) -> Truth:
-        """Returns whether an object is on the top of a landmark."""
         rest = abs(self._objects[number].low_m[2] - self._objects[other].high_m[2])
         touching = at_most(rest, limit.TOUCH_M)
         return min(touching, at_least(self._share(number, other), limit.OVERLAP)) if touching else Truth.NO

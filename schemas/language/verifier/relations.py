@@ -79,7 +79,6 @@ class ObjectRelations:
         return one == two != 0
 
     def holds(self, relation: Relation, number: int, other: int, view: SceneView | None) -> Truth:
-        """Returns whether a relation holds between an object and one landmark."""
         if relation is Relation.SAME_ROOM:
             together = self._same_room(number, other)
             return together if self._is_undivided(number, other) else min(together, Truth.MAYBE)
@@ -126,7 +125,6 @@ class ObjectRelations:
         return way if is_clear else min(way, Truth.MAYBE)
 
     def is_between(self, number: int, first: int, second: int) -> Truth:
-        """Returns whether an object is between two others."""
         rooms = {self._graph.objects[each].room for each in (number, first, second)} - {0}
         if len(rooms) > 1:
             return Truth.NO

@@ -52,6 +52,7 @@ def counted_ahead(
     truths: Mapping[int, Truth], place: int, side: ViewSide, view: SceneView, prints: Footprints
 ) -> dict[int, Truth]:
     """Returns the object at a position on one side of the way ahead; if it is uncertain, all candidates as `MAYBE`."""
+    # for equal racks in rows, no other phrase fits only one of them
     boxes = {number: prints.seen_along((view.x, view.y), view.yaw, number, AHEAD_SIDES[side]) for number in truths}
     found = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
     sure = [boxes[number] for number, truth in found.items() if truth is Truth.YES]

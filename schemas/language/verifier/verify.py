@@ -1,7 +1,9 @@
 """Decides which objects of a scene graph an expression fits, and whether a sentence fits its target.
 
 Independent of the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
-definitions in docs/language.md. It shares the thresholds, the graph and the words with the generator.
+definitions in docs/language/reference.md. It shares the thresholds, the graph and the words with the generator.
+
+Design: docs/design/language.md#sentences-are-verified-by-parsing.
 """
 
 from __future__ import annotations
@@ -31,7 +33,6 @@ class FittingObjects(NamedTuple):
     """Reason why the expression has no meaning in the scene, such as a landmark that is not unique."""
 
     def fits_only(self, number: int) -> bool:
-        """Returns whether the expression fits one object and no other."""
         return not self.fault and self.sure == self.possible == {number}
 
     def fits_any(self, number: int) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coordinator.protocol.bundles import Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.protocol.dispatch import Dispatch
 from schemas.protocol.messages import Lease
 from tests.builders.bundle import job_for
@@ -21,7 +21,7 @@ class TimedDispatch:
 
     def offer(self, index: int, via: str) -> None:
         lease = Lease(job_id=index, fence=1, token="0" * 32)
-        self.dispatch.offer(Pull(lease, f"host-{index}.1", "0" * 64, 7, job_for(index), TARGET, via))
+        self.dispatch.offer(IncomingBundle(lease, f"host-{index}.1", "0" * 64, 7, job_for(index), TARGET, via))
 
     def take(self, gateway: str, router: str) -> list[int]:
         return [pull.job.index for pull in self.dispatch.take(gateway, router, 64)]

@@ -18,10 +18,9 @@ from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.validation.messages import Verdict
 from schemas.base import MAX_COUNT, MAX_ROWS, Model
 from schemas.episode import EpisodeMeta
-from schemas.protocol.messages import MAX_LEASES, Beat, Done, Fail, Lease, LeaseProgress, Refusal
+from schemas.protocol.messages import MAX_LEASES, Beat, Done, Fail, Lease, LeaseProgress, Refusal, SpooledBundle
 from schemas.scene import SceneInfo
 from schemas.terms import FailReason
-from workers.client.spool import Spooled
 from workers.process.messages import SimulationReport
 
 WITHOUT_END = ("*", "+", ",}")
@@ -44,7 +43,7 @@ RECEIVED = sorted(
         SceneInfo,
         Verdict,
         SimulationReport,
-        Spooled,
+        SpooledBundle,
     },
     key=lambda model: model.__name__,
 )

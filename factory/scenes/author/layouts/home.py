@@ -49,7 +49,6 @@ _UNITS = ("SM_SinkUnit", "SM_Dishwasher", "SM_KitchenUnit", "SM_Oven", "SM_Kitch
 
 
 def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) -> None:
-    """Furnishes every room by its kind."""
     kinds: dict[str, Callable[[Furnisher], None]] = {
         "living": _living,
         "dining": _dining,

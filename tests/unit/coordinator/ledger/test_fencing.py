@@ -123,7 +123,7 @@ class Ledger(RuleBasedStateMachine):
     @rule(index=st.integers(1, 3))
     def lose(self, index: int) -> None:
         with self.timed_ledger.open() as connection:
-            owned = outcomes.is_owned(connection, index)
+            owned = outcomes.is_recorded(connection, index)
             assert outcomes.lose(connection, index, self.timed_ledger.now, "gone") == owned
 
     @invariant()

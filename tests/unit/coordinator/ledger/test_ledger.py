@@ -243,8 +243,8 @@ def test_an_archived_episode_is_recorded_with_its_summary(timed_ledger):
     assert timed_ledger.archive(lease)
     with timed_ledger.open() as connection:
         (summary,) = LedgerEpisodes(connection).rows(1, timed_ledger.plan.episodes)
-        assert outcomes.is_owned(connection, 1)
-        assert not outcomes.is_owned(connection, 2)
+        assert outcomes.is_recorded(connection, 1)
+        assert not outcomes.is_recorded(connection, 2)
     assert (summary.index, summary.attempt, summary.file_bytes) == (1, 1, 1000)
     assert outcomes_at(timed_ledger) == [(1, 1, "success", True)]
 

@@ -16,10 +16,11 @@ import pytest
 from structlog.testing import capture_logs
 
 from coordinator.archive.opening import open_archive
-from coordinator.protocol.bundles import BundleFile, Pull, Scope, check_each
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import Delivery, FindLocalBundle, no_local_bundle
+from coordinator.transfer.contract import FindLocalBundle, ValidatedBundle, no_local_bundle
 from coordinator.transfer.puller import Pullers
+from coordinator.validation.messages import Scope, ValidationTask, check_each
 from schemas.errors import TransientError
 from schemas.protocol.keys import BundleRange, Chunk
 from schemas.protocol.messages import Lease
@@ -52,20 +53,20 @@ class RecordingParts:
         self.scopes.append(scope)
         return SimpleNamespace(num_steps=1, file_sha256=hashlib.sha256(data).hexdigest())
 
-    def check_all(self, files: Sequence[BundleFile]) -> list[Any]:
-        return check_each(self.check, files)
+    def check_all(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> list[Any]:
+        return check_each(self.check, bundles)
 
-    def keep(self, pulls: Sequence[Pull], _seconds: float) -> list[bool]:
+    def keep(self, pulls: Sequence[IncomingBundle], _seconds: float) -> list[bool]:
         return [True] * len(pulls)
 
-    def is_owned(self, _index: int) -> bool:
+    def is_recorded(self, _index: int) -> bool:
         return False
 
-    def own(self, deliveries: Sequence[Delivery]) -> list[bool]:
-        self.checked += [delivery.is_checked for delivery in deliveries]
-        return [True] * len(deliveries)
+    def record_archived(self, bundles: Sequence[ValidatedBundle]) -> list[bool]:
+        self.checked += [validated.is_checked for validated in bundles]
+        return [True] * len(bundles)
 
-    def refuse(self, _pull: Pull, detail: str, *, is_false: bool = False) -> None:
+    def refuse(self, _pull: IncomingBundle, detail: str, *, is_false: bool = False) -> None:
         self.barred += [detail] if is_false else []
         self.refused.append(detail)
         self.done.set()
@@ -90,8 +91,8 @@ def pulled(root: Path, find_local_bundle: FindLocalBundle) -> Iterator[tuple[Rec
             recorded.done.set,
             find_local_bundle=find_local_bundle,
         ) as pullers:
-            target: Any = None
-            pullers.offer(Pull(LEASE, "worker", sha256, len(BUNDLE), job_for(7), target))
+            target: Any = ()
+            pullers.offer(IncomingBundle(LEASE, "worker", sha256, len(BUNDLE), job_for(7), target))
             assert recorded.done.wait(60)
         place = archive.path_of(7)
         assert isinstance(place, Path)
@@ -150,15 +151,15 @@ def test_a_bundle_in_an_unreadable_spool_is_fetched_over_the_network(tmp_path: P
 def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None:
     recorded, count = RecordingParts(), 60
     settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
-    target: Any = None
+    target: Any = ()
     with (
         capture_logs() as lines,
         open_archive(tmp_path / "data") as archive,
         Pullers(archive, recorded, recorded.fetch, recorded, settings, recorded.done.set) as pullers,
     ):
         for index in range(1, count + 1):
-            pullers.offer(Pull(LEASE, "host.1", "0" * 64, len(BUNDLE), job_for(index), target))
-        pullers.offer(Pull(LEASE, "other.1", "0" * 64, len(BUNDLE), job_for(count + 1), target))
+            pullers.offer(IncomingBundle(LEASE, "host.1", "0" * 64, len(BUNDLE), job_for(index), target))
+        pullers.offer(IncomingBundle(LEASE, "other.1", "0" * 64, len(BUNDLE), job_for(count + 1), target))
         until(lambda: len(recorded.refused) == count + 1)
     hosts = [line["worker"] for line in lines if line["event"] == "bundle_refused"]
     assert 1 <= hosts.count("host.1") < 10
@@ -179,16 +180,16 @@ class SlowHosts(RecordingParts):
             time.sleep(self.pause_s)
         return super().fetch(sid, ranges)
 
-    def own(self, deliveries: Sequence[Delivery]) -> list[bool]:
-        self.owned += [delivery.pull.sid for delivery in deliveries]
+    def record_archived(self, bundles: Sequence[ValidatedBundle]) -> list[bool]:
+        self.owned += [validated.bundle.sid for validated in bundles]
         self.changed.set()
-        return [True] * len(deliveries)
+        return [True] * len(bundles)
 
 
-def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> Pull:
-    target: Any = None
+def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> IncomingBundle:
+    target: Any = ()
     lease = LEASE.model_copy(update={"job_id": index})
-    return Pull(lease, sid, hashlib.sha256(data).hexdigest(), len(data), job_for(index), target)
+    return IncomingBundle(lease, sid, hashlib.sha256(data).hexdigest(), len(data), job_for(index), target)
 
 
 @pytest.mark.parametrize("slow_hosts", [1, 2, 10])
@@ -253,7 +254,7 @@ def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_pat
     settings = CoordinatorSettings(
         pullers=1, chunk_bytes=1024, reserve_bytes=0, slow_start_s=0.2, min_bytes_per_s=10_000_000
     )
-    pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
+    pull = IncomingBundle(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), ())  # type: ignore[arg-type]
     with (
         open_archive(tmp_path / "data") as archive,
         Pullers(archive, recorded, fetch, recorded, settings, recorded.done.set) as pullers,
@@ -276,7 +277,7 @@ def test_a_bundle_whose_transfers_fail_briefly_is_fetched(tmp_path: Path) -> Non
         return recorded.fetch(sid, ranges)
 
     settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0, slow_start_s=0.0)
-    pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
+    pull = IncomingBundle(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), ())  # type: ignore[arg-type]
     with (
         open_archive(tmp_path / "data") as archive,
         Pullers(archive, recorded, fetch, recorded, settings, recorded.done.set) as pullers,

@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.protocol.bundles import BundleFile, Pull
+from coordinator.protocol.bundles import IncomingBundle
 from coordinator.settings import CoordinatorSettings
-from coordinator.transfer.contract import Delivery
+from coordinator.transfer.contract import ValidatedBundle
 from coordinator.transfer.puller import Pullers
+from coordinator.validation.messages import ValidationTask
 from schemas.errors import InvalidBundle, TransientError
 from schemas.protocol.keys import BundleRange
 from schemas.protocol.messages import Lease
@@ -42,11 +43,11 @@ class Site:
     def bundle(index: int) -> bytes:
         return f"bundle {index}".encode() * 10
 
-    def pull(self, index: int, sid: str = "host.1", sha256: str = "") -> Pull:
-        data, target = self.bundle(index), SimpleNamespace()
+    def pull(self, index: int, sid: str = "host.1", sha256: str = "") -> IncomingBundle:
+        data, target = self.bundle(index), ()
         lease = Lease(job_id=index, fence=1, token="0" * 32)
         digest = sha256 or hashlib.sha256(data).hexdigest()
-        return Pull(lease, sid, digest, len(data), job_for(index), target)  # type: ignore[arg-type]
+        return IncomingBundle(lease, sid, digest, len(data), job_for(index), target)  # type: ignore[arg-type]
 
     def fetch(self, _sid: str, ranges: Sequence[BundleRange]) -> bytes:
         self.requests.append([each.job_id for each in ranges])
@@ -54,27 +55,28 @@ class Site:
             raise TransientError("no answer in time")
         return b"".join(self.bundle(each.job_id)[each.chunk.offset :][: each.chunk.length] for each in ranges)
 
-    def check_all(self, files: Sequence[BundleFile]) -> list[Any]:
-        self.validated.append([file.job.index for file in files])
-        for file in files:
-            assert file.path.read_bytes() == self.bundle(file.job.index)
-            assert file.sha256 == hashlib.sha256(self.bundle(file.job.index)).hexdigest()
+    def check_all(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> list[Any]:
+        jobs = [task.job for _, task in bundles if task.job is not None]
+        self.validated.append([job.index for job in jobs])
+        for job, (path, task) in zip(jobs, bundles, strict=True):
+            assert path.read_bytes() == self.bundle(job.index)
+            assert task.sha256 == hashlib.sha256(self.bundle(job.index)).hexdigest()
         row, refusal = SimpleNamespace(num_steps=1), InvalidBundle("refused", ["x"])
-        return [refusal if file.job.index == INVALID else row for file in files]
+        return [refusal if job.index == INVALID else row for job in jobs]
 
-    def keep(self, pulls: Sequence[Pull], _seconds: float) -> list[bool]:
+    def keep(self, pulls: Sequence[IncomingBundle], _seconds: float) -> list[bool]:
         assert self.is_open.wait(60)
         self.kept.append([pull.job.index for pull in pulls])
         return [pull.job.index != EXPIRED for pull in pulls]
 
-    def own(self, deliveries: Sequence[Delivery]) -> list[bool]:
-        self.owned.append([delivery.pull.job.index for delivery in deliveries])
-        return [delivery.pull.job.index != LOST for delivery in deliveries]
+    def record_archived(self, bundles: Sequence[ValidatedBundle]) -> list[bool]:
+        self.owned.append([validated.bundle.job.index for validated in bundles])
+        return [validated.bundle.job.index != LOST for validated in bundles]
 
-    def is_owned(self, index: int) -> bool:
+    def is_recorded(self, index: int) -> bool:
         return index == STORED
 
-    def refuse(self, pull: Pull, detail: str, *, is_false: bool = False) -> None:
+    def refuse(self, pull: IncomingBundle, detail: str, *, is_false: bool = False) -> None:
         assert not is_false
         self.refused[pull.job.index] = detail
 
@@ -85,7 +87,7 @@ class Site:
         pass
 
 
-def bring(site: Site, root: Path, pulls: Sequence[Pull]) -> list[int]:
+def bring(site: Site, root: Path, pulls: Sequence[IncomingBundle]) -> list[int]:
     """Offers bundles that wait together behind a bundle of another host; returns the archived episodes."""
     settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
     with open_archive(root / "data") as archive:

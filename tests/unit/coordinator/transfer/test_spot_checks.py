@@ -8,8 +8,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from coordinator.meters import Meters
-from coordinator.protocol.bundles import BundleFile, Pull, Scope, check_each
-from coordinator.transfer.delivering import Arrival, SpotCheckedValidation, ValidatedBundle
+from coordinator.protocol.bundles import IncomingBundle
+from coordinator.transfer.delivering import SpotCheckedValidation, ValidatedBundle
+from coordinator.validation.messages import Scope, ValidationTask, check_each
 from schemas.errors import InvalidBundle
 from schemas.protocol.messages import Lease
 from tests.builders.bundle import job_for
@@ -28,30 +29,31 @@ class Recorder:
             raise InvalidBundle("bundle refused", ["frame 3"])
         return SimpleNamespace(num_steps=1)
 
-    def check_all(self, files: Sequence[BundleFile]) -> list[Any]:
-        return check_each(self.check, files)
+    def check_all(self, bundles: Sequence[tuple[Path, ValidationTask]]) -> list[Any]:
+        return check_each(self.check, bundles)
 
     def close(self) -> None:
         pass
 
 
-def validated(validation: SpotCheckedValidation, pull: Pull) -> ValidatedBundle | InvalidBundle:
+def validated(validation: SpotCheckedValidation, pull: IncomingBundle) -> ValidatedBundle | InvalidBundle:
     staged: Any = SimpleNamespace(path=Path(), is_linked=False, sha256="0" * 64)
-    (found,) = validation.validate([Arrival(pull, staged)])
+    pull.part = staged
+    (found,) = validation.validate([pull])
     return found
 
 
 JOB = job_for()
 
 
-def pull_of(index: int, host: str = "a", *, is_validated: bool = True) -> Pull:
-    lease, target = Lease(job_id=index, fence=1, token="0" * 32), SimpleNamespace()
-    return Pull(
+def pull_of(index: int, host: str = "a", *, is_validated: bool = True) -> IncomingBundle:
+    lease, target = Lease(job_id=index, fence=1, token="0" * 32), ()
+    return IncomingBundle(
         lease, f"{host}.1", f"{index:064x}", 10, JOB.model_copy(update={"index": index}), target, None, is_validated
     )  # type: ignore[arg-type]
 
 
-def scopes_of(pulls: list[Pull], share: float | None, secret: bytes = b"s") -> str:
+def scopes_of(pulls: list[IncomingBundle], share: float | None, secret: bytes = b"s") -> str:
     """Returns a letter for the scope of each validation: `a` for the whole bundle, `c` for the claim only."""
     recorder = Recorder()
     validation = SpotCheckedValidation(recorder, Meters(), share, secret)

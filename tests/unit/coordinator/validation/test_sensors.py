@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from coordinator.protocol.bundles import Scope
+from coordinator.validation.messages import Scope
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
 from schemas.encoding.arrays import ArraySpec

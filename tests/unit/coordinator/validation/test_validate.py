@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coordinator.protocol.bundles import Scope
+from coordinator.validation.messages import Scope
 from coordinator.validation.validate import sampled_frames, validate
 from schemas.bundle import BundleReader
 from schemas.config import DemonstrationConfig, TaskConfig

@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from coordinator.protocol.bundles import BundleFile
-from coordinator.validation.messages import MAX_TASKS, ValidatorLimits
+from coordinator.validation.messages import MAX_TASKS, ValidationTask, ValidatorLimits
 from coordinator.validation.validator import Validator
 from schemas.errors import InvalidBundle, TransientError
 from schemas.terms import Recording
@@ -154,9 +153,9 @@ def test_each_bundle_of_an_order_has_a_separate_verdict(validator: Validator, bu
     damaged = tmp_path / "damaged.part"
     damaged.write_bytes(bundle_bytes()[:-100])
     files = [
-        BundleFile(bundle, job_for()),
-        BundleFile(damaged, job_for()),
-        BundleFile(bundle, job_for(2), sha256="a" * 64),
+        (bundle, ValidationTask(job=job_for())),
+        (damaged, ValidationTask(job=job_for())),
+        (bundle, ValidationTask(job=job_for(2), sha256="a" * 64)),
     ]
     valid, torn, other = validator.check_all(files)
     assert valid == validator.check(bundle, job_for())
@@ -165,7 +164,9 @@ def test_each_bundle_of_an_order_has_a_separate_verdict(validator: Validator, bu
 
 
 def test_a_known_digest_is_not_computed_again(validator: Validator, bundle: Path) -> None:
-    rows = validator.check_all([BundleFile(bundle, job_for(), sha256="a" * 64), BundleFile(bundle, job_for())])
+    rows = validator.check_all(
+        [(bundle, ValidationTask(job=job_for(), sha256="a" * 64)), (bundle, ValidationTask(job=job_for()))]
+    )
     assert [isinstance(row, InvalidBundle) or row.file_sha256 == "a" * 64 for row in rows] == [True, False]
 
 
@@ -173,7 +174,11 @@ def test_a_missing_file_does_not_affect_the_other_bundles_of_an_order(
     validator: Validator, bundle: Path, tmp_path: Path
 ) -> None:
     first, missing, last = validator.check_all(
-        [BundleFile(bundle, job_for()), BundleFile(tmp_path / "nothing", job_for()), BundleFile(bundle, job_for())]
+        [
+            (bundle, ValidationTask(job=job_for())),
+            (tmp_path / "nothing", ValidationTask(job=job_for())),
+            (bundle, ValidationTask(job=job_for())),
+        ]
     )
     assert first == last == validator.check(bundle, job_for())
     assert "cannot be read" in str(missing)
@@ -185,7 +190,7 @@ def test_the_bundles_of_an_order_whose_child_dies_are_validated_one_by_one(bundl
         validator.check(bundle, job_for())
         (child,) = child_processes() - before
         os.kill(child, signal.SIGSTOP)
-        checking = pool.submit(validator.check_all, [BundleFile(bundle, job_for())] * 3)
+        checking = pool.submit(validator.check_all, [(bundle, ValidationTask(job=job_for()))] * 3)
         time.sleep(0.3)
         os.kill(child, signal.SIGKILL)
         rows = checking.result()
@@ -196,5 +201,5 @@ def test_the_bundles_of_an_order_whose_child_dies_are_validated_one_by_one(bundl
 def test_more_bundles_than_the_limit_of_an_order_are_validated_in_several_orders(
     validator: Validator, bundle: Path
 ) -> None:
-    rows = validator.check_all([BundleFile(bundle, job_for())] * (MAX_TASKS + 1))
+    rows = validator.check_all([(bundle, ValidationTask(job=job_for()))] * (MAX_TASKS + 1))
     assert rows == [validator.check(bundle, job_for())] * (MAX_TASKS + 1)
