@@ -1,6 +1,6 @@
 """Defaults of the coordinator that its command line shows. Imports nothing, so help pages are shown fast.
 
-Design: docs/design/program.md#commands-are-declared-without-their-imports.
+Design: docs/design/program.md#a-command-imports-its-work-when-it-runs.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ SMALL_LINES = 60
 MOST_FUNCTION_LINES = 60
 REGISTERED = (
     "factory/cli/",  # the table of the verbs
-    "factory/commands/",
     "factory/report/figures/",  # the registry of the figures
     "factory/scenes/author/props/",  # the catalogue of the props
     "factory/web/pages/",  # the routes of the web page

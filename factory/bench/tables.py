@@ -16,8 +16,7 @@ from factory.bench.results import (
     Spread,
     StageCost,
 )
-from factory.commands.common.bars import Bars
-from factory.commands.common.output import print_table
+from factory.support.terminal import Bars, print_table
 
 
 @contextmanager

@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.common.filters import scene_filter
-from factory.cli.common.groups import CommandGroup
-from factory.cli.common.options import (
+from factory.cli.groups import CommandGroup
+from factory.cli.options import (
+    PLACE,
     count_option,
-    former_option,
     json_option,
     plan_argument,
     record_option,
     renderer_option,
+    scene_filter,
     workers_option,
 )
-from factory.cli.common.places import PLACE
 from schemas.encoding.image_sizes import FRAME_SIZE_PX, MAX_SIZE_PX
 from schemas.terms import ExpertName, Recording
 from workers.process.one_core import ONE_THREAD
@@ -74,7 +73,6 @@ def command() -> None:
 
 @command.command("rollout")
 @plan_argument(default="paper")
-@former_option("--plan", "plan_name", "PLAN")
 @scene_filter()
 @count_option("--episodes", 8, "Number of episodes of each scene.")
 @_repeats_option
@@ -106,9 +104,9 @@ def rollout(
     from factory.bench.rollout import bench_rollout
     from factory.bench.tables import progress_bar, show_rollout
     from factory.bench.workload import first_attempts, narrow, temporary_folder
-    from factory.commands.common.output import print_result
     from factory.runs.catalog import open_catalog
     from factory.support.settings import scene_cache
+    from factory.support.terminal import print_result
     from workers.sim.context import SceneRenderer
 
     plan = shrink(narrow(load_plan(plan_name), scenes or (), episodes), record=Recording(record) if record else None)
@@ -177,9 +175,9 @@ def collect(
     from factory.bench.results import CollectBench
     from factory.bench.tables import progress_bar, show_collect
     from factory.bench.workload import temporary_folder
-    from factory.commands.common.output import print_result
     from factory.runs.catalog import open_catalog
     from factory.support.settings import scene_cache
+    from factory.support.terminal import print_result
 
     base = shrink(load_plan(plan_name), scenes=scenes or (), episodes=episodes)
     variants = {
@@ -229,9 +227,9 @@ def render(
     from factory.bench.results import RenderBench
     from factory.bench.tables import progress_bar, show_render
     from factory.bench.workload import SAMPLE_PLAN, narrow, temporary_folder
-    from factory.commands.common.output import print_result
     from factory.runs.catalog import open_catalog
     from factory.support.settings import scene_cache
+    from factory.support.terminal import print_result
     from schemas.config import CameraConfig
     from schemas.scene import read_scene
     from workers.render.choose import open_renderer
@@ -280,8 +278,8 @@ def read(
     from factory.bench.read import bench_read
     from factory.bench.tables import show_read
     from factory.bench.workload import SAMPLE_PLAN, narrow, temporary_folder
-    from factory.commands.common.output import print_result
     from factory.dataset.reader import Dataset
+    from factory.support.terminal import print_result
 
     with temporary_folder() as folder:
         if root is None:

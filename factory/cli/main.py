@@ -19,7 +19,7 @@ from typing import NamedTuple
 import click
 from click.shell_completion import CompletionItem
 
-from factory.cli.common.groups import CommandGroup, no_option_error
+from factory.cli.groups import CommandGroup, no_option_error
 from schemas.errors import FactoryError, UsageError
 from schemas.support.child import SAFE_PATH
 from schemas.support.extras import EXTRA_OF, missing_package
@@ -35,8 +35,6 @@ process."""
 class CommandEntry(NamedTuple):
     """One command as `factory --help` lists it."""
 
-    module: str
-    """Module below `factory.cli` whose attribute `command` is the command."""
     section: str
     """Section heading in the help."""
     summary: str
@@ -45,41 +43,39 @@ class CommandEntry(NamedTuple):
 
 VERBS = MappingProxyType(
     {
-        "run": CommandEntry("run.run", _MAKE, "Generate a dataset from a plan, or continue an interrupted run."),
-        "render": CommandEntry("run.render", _MAKE, "Render the frames and sensors of a states dataset."),
-        "plan": CommandEntry("run.plan", _MAKE, "Show a plan's episode counts; find the nearest feasible plan."),
-        "scene": CommandEntry("scene.command", _MAKE, "Build, import, inspect and render scenes."),
-        "rig": CommandEntry("rig.command", _MAKE, "List, show and check sensor rigs."),
-        "gate": CommandEntry("run.gate", _MAKE, "Measure the success rate of first attempts in one scene."),
-        "status": CommandEntry("inspect.status", _INSPECT, "Show the progress of a run and its workers."),
-        "jobs": CommandEntry("inspect.jobs", _INSPECT, "List, retry and cancel jobs; release hosts; pause a run."),
-        "verify": CommandEntry("inspect.verify", _INSPECT, "Check the files, tables and hashes of a dataset."),
-        "repair": CommandEntry("inspect.repair", _INSPECT, "Repair a damaged dataset, its ledger and its tables."),
-        "pack": CommandEntry("inspect.pack", _INSPECT, "Pack the episodes of a states dataset into shards."),
-        "replay": CommandEntry("inspect.replay", _INSPECT, "Simulate one episode again and compare its content."),
-        "stats": CommandEntry("inspect.stats", _INSPECT, "Print the statistics of a dataset."),
-        "report": CommandEntry("inspect.report", _INSPECT, "Write an HTML report with figures of a dataset."),
-        "show": CommandEntry("inspect.show", _INSPECT, "Write one episode as a contact sheet or a video."),
-        "serve": CommandEntry("inspect.serve", _INSPECT, "Serve the web page of a dataset and its run."),
-        "view": CommandEntry("inspect.view", _INSPECT, "Open one episode in the Rerun viewer."),
-        "export": CommandEntry("publish.export", _USE, "Convert a dataset to another format."),
-        "relabel": CommandEntry("publish.relabel", _USE, "Write new verified instructions for a dataset."),
-        "push": CommandEntry("publish.push", _USE, "Upload a dataset or an export to the Hugging Face Hub."),
-        "train": CommandEntry("learn.train", _LEARN, "Train baseline policies. Requires the extra `train`."),
-        "eval": CommandEntry("eval.command", _LEARN, "Evaluate policies in closed loop on the episodes of a dataset."),
-        "coordinator": CommandEntry(
-            "farm.coordinator", _FARM, "Start the coordinator of a run whose workers are on other hosts."
-        ),
-        "gateway": CommandEntry("farm.gateway", _FARM, "Start a gateway between workers and a coordinator."),
-        "worker": CommandEntry("farm.worker", _FARM, "Simulate jobs of a coordinator on this host."),
-        "gather": CommandEntry("farm.gather", _FARM, "Copy the episodes of gateways or shards into one dataset."),
-        "submit": CommandEntry("farm.submit", _FARM, "Submit a run to a batch system."),
-        "keys": CommandEntry("farm.keys", _FARM, "Create and list the TLS certificates of hosts."),
-        "bench": CommandEntry("bench", _OTHER, "Measure the performance of this machine."),
-        "completion": CommandEntry("other.completion", _OTHER, "Print the completion script of a shell."),
+        "run": CommandEntry(_MAKE, "Generate a dataset from a plan, or continue an interrupted run."),
+        "render": CommandEntry(_MAKE, "Render the frames and sensors of a states dataset."),
+        "plan": CommandEntry(_MAKE, "Show a plan's episode counts; find the nearest feasible plan."),
+        "scene": CommandEntry(_MAKE, "Build, import, inspect and render scenes."),
+        "rig": CommandEntry(_MAKE, "List, show and check sensor rigs."),
+        "gate": CommandEntry(_MAKE, "Measure the success rate of first attempts in one scene."),
+        "status": CommandEntry(_INSPECT, "Show the progress of a run and its workers."),
+        "jobs": CommandEntry(_INSPECT, "List, retry and cancel jobs; release hosts; pause a run."),
+        "verify": CommandEntry(_INSPECT, "Check the files, tables and hashes of a dataset."),
+        "repair": CommandEntry(_INSPECT, "Repair a damaged dataset, its ledger and its tables."),
+        "pack": CommandEntry(_INSPECT, "Pack the episodes of a states dataset into shards."),
+        "replay": CommandEntry(_INSPECT, "Simulate one episode again and compare its content."),
+        "stats": CommandEntry(_INSPECT, "Print the statistics of a dataset."),
+        "report": CommandEntry(_INSPECT, "Write an HTML report with figures of a dataset."),
+        "show": CommandEntry(_INSPECT, "Write one episode as a contact sheet or a video."),
+        "serve": CommandEntry(_INSPECT, "Serve the web page of a dataset and its run."),
+        "view": CommandEntry(_INSPECT, "Open one episode in the Rerun viewer."),
+        "export": CommandEntry(_USE, "Convert a dataset to another format."),
+        "relabel": CommandEntry(_USE, "Write new verified instructions for a dataset."),
+        "push": CommandEntry(_USE, "Upload a dataset or an export to the Hugging Face Hub."),
+        "train": CommandEntry(_LEARN, "Train baseline policies. Requires the extra `train`."),
+        "eval": CommandEntry(_LEARN, "Evaluate policies in closed loop on the episodes of a dataset."),
+        "coordinator": CommandEntry(_FARM, "Start the coordinator of a run whose workers are on other hosts."),
+        "gateway": CommandEntry(_FARM, "Start a gateway between workers and a coordinator."),
+        "worker": CommandEntry(_FARM, "Simulate jobs of a coordinator on this host."),
+        "gather": CommandEntry(_FARM, "Copy the episodes of gateways or shards into one dataset."),
+        "submit": CommandEntry(_FARM, "Submit a run to a batch system."),
+        "keys": CommandEntry(_FARM, "Create and list the TLS certificates of hosts."),
+        "bench": CommandEntry(_OTHER, "Measure the performance of this machine."),
+        "completion": CommandEntry(_OTHER, "Print the completion script of a shell."),
     }
 )
-"""Command by name, in the order of the help."""
+"""Command by name, in the order of the help. The attribute `command` of the module of that name is the command."""
 
 
 class _Commands(CommandGroup):
@@ -93,7 +89,7 @@ class _Commands(CommandGroup):
         """Imports a command's module and returns the command."""
         if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(f"factory.cli.{VERBS[cmd_name].module}").command
+        command: click.Command = importlib.import_module(f"factory.cli.{cmd_name}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002

@@ -1,16 +1,27 @@
-"""Selects the files of a folder to upload, their batches and the tag. Reads the disk; does not use the network."""
+"""Prepares a folder for upload: renders missing thumbnails; selects the files, their batches and the tag.
+
+Does not use the network.
+"""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from coordinator.archive.directory import DirectoryArchive
+from coordinator.tables.split_tables import has_pictures, lacks_pictures, write_split_tables
+from factory.dataset.reader import Dataset
 from schemas.errors import UsageError, WorldError
 from schemas.storage.dataset_files import EPISODES, META_FILE, QUARANTINE, SCENES, SPLITS_FOLDER, STAGING
+from schemas.storage.place import children
 
 BATCH_FILES = 400
 """Maximum number of files in one commit; the Hub advises against many more."""
@@ -56,6 +67,37 @@ class PushPlan:
     def total_bytes(self) -> int:
         """Total size of all files, bytes."""
         return sum(file.size for file in self.files)
+
+
+def lacks_thumbnails(root: Path) -> bool:
+    """Returns whether a folder is a states dataset whose split tables have rows without thumbnails."""
+    if not (root / META_FILE).is_file() or has_pictures(root):
+        return False
+    return any(lacks_pictures(table) for table in children(root / SPLITS_FOLDER))
+
+
+def render_thumbnails(root: Path, on_progress: Callable[[int, int], None]) -> None:
+    """Renders the missing thumbnails of a states dataset. They equal the thumbnails of a frames dataset.
+
+    Args:
+        root: Dataset directory.
+        on_progress: Progress callback, called with the number of rendered thumbnails and the number of episodes.
+
+    Raises:
+        WorldError: A coordinator has locked the dataset, it cannot be written, or this machine cannot render.
+        ArchiveCorrupt: A table, an episode or a scene is damaged.
+    """
+    # not at the end of a run, because the machine of a coordinator may have no graphics driver
+    dataset, done = Dataset(root), itertools.count(1)
+
+    def draw(episode_id: str) -> NDArray[np.uint8]:
+        with dataset[episode_id] as episode:
+            rgb = episode.rgb(0)
+        on_progress(next(done), len(dataset))
+        return rgb
+
+    with DirectoryArchive(root) as archive:
+        write_split_tables(archive, draw=draw)
 
 
 def require_repository(name: str) -> str:

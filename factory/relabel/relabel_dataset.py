@@ -1,7 +1,7 @@
 """Relabels a dataset: writes parts of instructions in several processes, then the dataset with the new instructions.
 
 Episodes and scenes of the source are linked, and the source is not changed. An interrupted call continues where it
-stopped; every file is written atomically, `dataset_meta.json` last.
+stopped; every file is written atomically, `dataset_meta.json` last. Also prints the report.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
+import click
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -30,6 +31,7 @@ from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.paraphrase import ParaphraseReport
 from factory.relabel.part import LanguageStart, PartTask, make_part, prepared_scene
 from factory.support.task_pool import run_tasks
+from factory.support.terminal import print_table
 from schemas.base import Model, Sha256
 from schemas.dataset.meta import Relabelling, software_versions
 from schemas.errors import InvalidLanguage, UsageError, WorldError
@@ -389,3 +391,31 @@ def _report(out: Path, episodes: int, table: pa.Table, rejected: Counter[str]) -
         features=dict(sorted(Counter(name for row in goals for name in row["features"].split(",") if name).items())),
         rejected=dict(sorted(rejected.items())),
     )
+
+
+def print_report(report: RelabelReport) -> None:
+    """Prints the numbers of instructions, by language and feature, and the paraphrases."""
+    click.echo(f"{report.out}: {report.instructions} instructions for {report.episodes} episodes")
+    if report.recorded:
+        click.echo(f"{report.recorded} episodes keep their recorded instruction: no new one fits their target only")
+    numbers = (
+        ("distinct sentences", report.distinct),
+        ("sentence patterns", report.patterns),
+        ("minimal expressions", report.minimal),
+        ("routes", report.routes),
+        ("false premises", report.false_premises),
+        ("questions", report.questions),
+        ("rejected by the verifier", sum(report.rejected.values())),
+    )
+    print_table("", ("measure", "number"), numbers)
+    if report.paraphrases is not None:
+        _print_paraphrases(report.paraphrases)
+    print_table("Languages", ("language", "instructions"), report.languages.items())
+    print_table("Features", ("feature", "instructions"), report.features.items())
+
+
+def _print_paraphrases(report: ParaphraseReport) -> None:
+    click.echo(f"{report.accepted} paraphrased sentence patterns")
+    omitted = [*report.refused.items(), *((f"endpoint: {reason}", count) for reason, count in report.failed.items())]
+    if omitted:
+        print_table("Paraphrases that were not added", ("reason", "number"), omitted)

@@ -1,6 +1,7 @@
-"""Acceptance gate of the paper: runs the first attempt at each episode of a scene and counts the successes.
+"""Acceptance gate of the paper: runs the first attempt at each episode of a scene, and prints the share of successes.
 
 Attempts run in simulation processes like those of workers. A bundle is deleted when it is complete; none is archived.
+The command line runs the gate, because the coordinator never simulates; the coordinator records the result.
 """
 
 from __future__ import annotations
@@ -8,20 +9,27 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
+
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand, to_job
+from coordinator.expansion.plan_file import shrink
+from factory.runs.gate_mode import GATE_ATTEMPTS, MIN_EPISODES_FOR_GATE, MIN_SUCCESS, GateMode
 from factory.stats.measures import share_of
 from factory.stats.statistics import Share
+from factory.support.terminal import Bars, print_table, stderr
 from schemas.base import Fraction, Model
+from schemas.dataset.meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan
-from schemas.terms import FailReason, Recording, Tier
+from schemas.terms import FailReason, Recording, RendererKind, Tier
+from workers.client.settings import WorkerSettings
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import ProcessEnd, Simulation
 
@@ -89,13 +97,65 @@ class GateReport(Model):
     """Failed trials in the order of the plan."""
 
 
-def run_gate(run: GateRun, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
+def gate_plans(plan: Plan, mode: GateMode) -> Iterator[Plan]:
+    """Yields the plan of each gate run that a mode requires; `auto` omits families, whose layouts are not built yet."""
+    for scene in plan.scenes:
+        if mode == "skip" or (mode == "auto" and (scene.layouts is not None or scene.episodes < MIN_EPISODES_FOR_GATE)):
+            continue
+        yield shrink(plan, scenes=(scene.name,), episodes=min(GATE_ATTEMPTS, scene.episodes))
+
+
+def measure_gate(
+    plan: Plan, catalog: Catalog, mode: GateMode, *, renderer: RendererKind, processes: int, stop: threading.Event
+) -> tuple[GateOutcome, ...] | None:
+    """Runs the gate in the scenes that the mode requires; returns their outcomes, or `None` when `stop` was set.
+
+    Raises:
+        WorldError: the mode is `enforce` and the success rate in a scene is too low, or simulations do not start.
+    """
+    reports: list[GateReport] = []
+    for part in gate_plans(plan, mode):
+        report = try_scene(part, catalog, min_success=MIN_SUCCESS, renderer=renderer, processes=processes, stop=stop)
+        if report is None:
+            return None
+        reports.append(report)
+    if reports:
+        _print_outcomes(reports)
+    failed = [report.scene for report in reports if not report.passed]
+    if failed and mode == "enforce":
+        raise WorldError(
+            f"gate failed: less than {100 * MIN_SUCCESS:.0f} % of first attempts succeed in {', '.join(failed)}; "
+            f"nothing was archived; list the failures with `factory gate --scene {failed[0]}`, or continue with "
+            "--gate report"
+        )
+    return tuple(map(_outcome, reports))
+
+
+def try_scene(
+    plan: Plan, catalog: Catalog, *, min_success: float, renderer: RendererKind, processes: int, stop: threading.Event
+) -> GateReport | None:
+    """Attempts every episode of a one-scene plan once; returns the report, or `None` when `stop` was set.
+
+    Shows a progress bar.
+
+    Raises:
+        WorldError: simulations do not start.
+    """
+    run = GateRun.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
+    name = plan.scenes[0].name
+    with Bars() as bar:
+        task = bar.add_task(f"gate {name}", total=len(run.jobs))
+        trials = run_gate(run, stop, lambda done: bar.update(task, completed=done))
+    return None if len(trials) < len(run.jobs) else evaluate_gate(name, plan.expert, trials, min_success)
+
+
+def run_gate(run: GateRun, stop: threading.Event, on_progress: Callable[[int], None]) -> list[Trial]:
     """Runs every job once and returns the trials; if `stop` is set, returns only the trials that have ended.
 
     Args:
         run: Jobs and settings.
         stop: Event that stops the gate run immediately.
-        tell: Progress callback, called with the number of finished attempts.
+        on_progress: Progress callback, called with the number of finished attempts.
 
     Raises:
         WorldError: Simulations do not start, or the disk of temporary files is full.
@@ -112,7 +172,7 @@ def run_gate(run: GateRun, stop: threading.Event, tell: Callable[[int], None]) -
                 trial = slot.turn(waiting)
                 if trial is not None:
                     trials.append(trial)
-                    tell(len(trials))
+                    on_progress(len(trials))
     return trials
 
 
@@ -147,6 +207,56 @@ def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success:
     )
 
 
+def print_gate(report: GateReport) -> None:
+    """Prints the report of a gate as text."""
+    rows = [*((str(tier), share) for tier, share in report.by_tier.items()), ("all", report.success)]
+    body = [(name, share.of, share.count, _percent(share, 1), _interval(share)) for name, share in rows]
+    print_table("", ("tier", "attempts", "succeeded", "success", "95 % interval"), body)
+    if report.reasons:
+        click.echo("failures: " + ", ".join(f"{count} {reason}" for reason, count in report.reasons.items()))
+    for row in report.lost:
+        click.echo(f"  {row.episode_id} {row.tier} {row.target_id}: {row.reason}: {row.detail}")
+    verdict = "passed" if report.passed else "failed"
+    required = f"{100 * report.min_success:g} % required"
+    success = f"{_percent(report.success, 1)} of first attempts succeeded"
+    click.echo(f"{report.scene}, {report.expert} expert: {verdict}; {success}, {required}")
+
+
+def _print_outcomes(reports: list[GateReport]) -> None:
+    rows = [
+        (
+            report.scene,
+            report.success.of,
+            report.success.count,
+            _percent(report.success, 0),
+            ", ".join(f"{count} {reason}" for reason, count in report.reasons.items()) or "-",
+            "passed" if report.passed else "failed",
+        )
+        for report in reports
+    ]
+    print_table("", ("gate", "first attempts", "succeeded", "success", "failures", "result"), rows, stderr)
+
+
+def _outcome(report: GateReport) -> GateOutcome:
+    return GateOutcome(
+        scene=report.scene,
+        expert=report.expert,
+        attempts=report.success.of,
+        succeeded=report.success.count,
+        min_success=report.min_success,
+        passed=report.passed,
+        reasons={str(reason): count for reason, count in report.reasons.items()},
+    )
+
+
+def _percent(share: Share, digits: int) -> str:
+    return "-" if share.share is None else f"{100 * share.share:.{digits}f} %"
+
+
+def _interval(share: Share) -> str:
+    return "-" if share.low is None or share.high is None else f"{100 * share.low:.1f} to {100 * share.high:.1f} %"
+
+
 class _TrialProcess:
     """Simulation process and its current job; all processes are polled in turn, so no call may block for long."""
 
@@ -172,10 +282,10 @@ class _TrialProcess:
             self._simulation.start()
         elif self._is_ready and self._job is None:
             self._order(waiting.popleft())
-        heard = self._simulation.receive(self._poll_s)
-        if isinstance(heard, ProcessEnd):
-            return self._handle_end(heard, waiting)
-        return None if heard is None else self._handle_report(heard)
+        report = self._simulation.receive(self._poll_s)
+        if isinstance(report, ProcessEnd):
+            return self._handle_end(report, waiting)
+        return None if report is None else self._handle_report(report)
 
     def _order(self, job: Job) -> None:
         self._job = job

@@ -6,8 +6,10 @@ The coordinator stays in the process of `factory run`. Each node gets a certific
 from __future__ import annotations
 
 import logging
+import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -177,3 +179,13 @@ def require_reachable(address: str | None) -> None:
 
 def _contents(folder: Path) -> Mapping[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@contextmanager
+def open_cluster(address: str | None, cores: int | None, renderer: RendererKind) -> Iterator[RayCluster]:
+    """Connects to a Ray cluster while the context is open. The certificates are in a temporary folder."""
+    with (
+        tempfile.TemporaryDirectory(prefix="minivla-ray-") as keys,
+        RayCluster(address, Path(keys) / "pki", cores, renderer) as cluster,
+    ):
+        yield cluster

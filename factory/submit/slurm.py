@@ -1,4 +1,4 @@
-"""Slurm jobs of a run: their scripts, as text, and the commands of Slurm that submit them.
+"""Slurm jobs of a run: its folder, their scripts, as text, and the commands of Slurm that submit them.
 
 The scripts only call the command line; they contain no Python code. submitit pickles functions, handles signals in
 Python instead of the batch shell, and has no dependent arrays.
@@ -8,17 +8,32 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-from schemas.errors import UsageError, WorldError
+from coordinator.archive.contract import scene_file
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.plan_file import plan_to_toml
+from factory.keys import admit, create_authority
+from factory.runs.catalog import open_catalog
+from factory.support.settings import scene_cache
+from factory.support.terminal import print_building
+from schemas.errors import FactoryError, UsageError, WorldError
+from schemas.plan import Plan
+from schemas.protocol.identity import Role
+from schemas.scene.files import copy_package
+from schemas.storage.dataset_files import is_submitted_run
+from schemas.storage.disk import translated
 from schemas.support.child import child_environment
 
 Mode = Literal["shards", "workers"]
 _NOTICE_S = 120
+_AUTHORITY_DAYS = 365
 _HOST = "$(hostname -f)"
 _SCRATCH = "${SLURM_TMPDIR:-${TMPDIR:-/tmp}}/minivla-${USER:-factory}-${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}"
 RUN_TASK = r"""
@@ -238,3 +253,54 @@ def submit_all(job: SlurmJob, mode: Mode) -> dict[str, int]:
         subprocess.run(["scancel", str(leading)], check=False, env=child_environment(os.environ))
         raise
     return {first: leading, second: following}
+
+
+def submit_new_run(job: SlurmJob, mode: Mode) -> dict[str, int]:
+    """Submits the scripts as `submit_all`; if Slurm refuses, removes the folder, so the run can be prepared again."""
+    try:
+        return submit_all(job, mode)
+    except WorldError:
+        shutil.rmtree(job.run)
+        raise
+
+
+def prepare_run(job: SlurmJob, plan: Plan, mode: Mode) -> None:
+    """Creates the folder of a run with its plan, its compiled scenes and, for workers, its certificates.
+
+    Raises:
+        UsageError: the folder exists.
+        InvalidPlan: the scenes cannot fulfil the plan.
+        WorldError: the folder cannot be written.
+    """
+    if job.run.exists():
+        other = f", or continue its run with {_again(job.run)}" if is_submitted_run(job.run) else ""
+        raise UsageError(f"{job.run} exists: choose another --out{other}")
+    catalog = open_catalog(plan, job.dataset, scene_cache(), print_building)
+    try:
+        with translated("write", job.run):
+            job.plan.parent.mkdir(parents=True)
+            (job.run / "shards").mkdir()
+            job.plan.write_text(plan_to_toml(plan), encoding="utf-8")
+            copy_scenes(catalog, job.scenes if mode == "shards" else job.dataset / "scenes")
+        if mode == "workers":
+            now = datetime.now(UTC)
+            create_authority(job.run / "pki", plan.run, _AUTHORITY_DAYS, now)
+            admit(job.run / "pki", "worker", Role.WORKER, (), _AUTHORITY_DAYS, now)
+    except FactoryError:
+        shutil.rmtree(job.run, ignore_errors=True)  # so that the command can be repeated
+        raise
+
+
+def copy_scenes(catalog: Catalog, folder: Path) -> None:
+    """Copies the packages of scenes to a new folder, with their names in a dataset."""
+    folder.mkdir(parents=True)
+    for name, entry in catalog.items():
+        copy_package(entry.path, folder / scene_file(name, entry.sha256))
+
+
+def _again(run: Path) -> str:
+    """Returns the shell command that submits the jobs of a run again."""
+    scripts = run / "slurm"
+    first, second, when = order_of("shards" if (scripts / "shards.sh").is_file() else "workers")
+    job = f"$(sbatch --parsable {shlex.quote(str(scripts / first))}.sh)"
+    return f"`sbatch --dependency={when}:{job} {shlex.quote(str(scripts / second))}.sh`"

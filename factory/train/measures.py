@@ -1,9 +1,19 @@
-"""Models of the training measures: the content of `metrics.json` and of `--json`. Computes nothing."""
+"""Measures of a training: the content of `metrics.json` and of `--json`, and their output on the terminal.
+
+Computes nothing.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
+import click
+
+from factory.support.terminal import Bars, print_table
+from factory.support.text import format_duration
 from factory.train.options import BcOptions
 from schemas.base import Fraction, Model, NonNegative
+from schemas.support.closing import Closing
 
 
 class EpochMeasures(Model):
@@ -44,3 +54,58 @@ class TrainReport(Model):
     val_episodes: int
     val_frames: int
     epochs: tuple[EpochMeasures, ...]
+
+
+class TrainBar(Closing):
+    """Progress bars of a training on stderr, and one line per epoch."""
+
+    def __init__(self, epochs: int) -> None:
+        self._epochs = epochs
+        self._bar = Bars()
+        self._decoding: Any = None
+        self._task: Any = None
+        self._bar.start()
+
+    def close(self) -> None:
+        """Removes the bars."""
+        self._bar.stop()
+
+    def caching(self, done: int, of: int) -> None:
+        """Updates the number of decoded episodes."""
+        if self._decoding is None or done == 1:
+            self._decoding = self._bar.add_task("decoding", total=of)
+        self._bar.update(self._decoding, completed=done)
+
+    def learning(self, epochs: int, done: int, of: int, loss: float) -> None:
+        """Updates the number of batches and the loss of this epoch."""
+        if self._task is None:
+            self._task = self._bar.add_task("training", total=of)
+        note = f"epoch {epochs + 1} of {self._epochs}, loss {loss:.3f}"
+        self._bar.update(self._task, total=of, completed=done, note=note)
+
+    def measured(self, epoch: EpochMeasures) -> None:
+        """Prints the measures of an epoch."""
+        self._bar.console.print(f"epoch {epoch.epoch}: {_describe(epoch)}")
+
+
+def _describe(epoch: EpochMeasures) -> str:
+    names = {"val_v_mps": "v error m/s", "val_w_rps": "w error rad/s", "pointing": "pointing accuracy"}
+    pairs = [
+        (names.get(name, name.replace("_", " ")), value) for name, value in epoch.model_dump(exclude={"epoch"}).items()
+    ]
+    return ", ".join(f"{name} {value:.4g}" for name, value in pairs if value is not None)
+
+
+def print_report(report: TrainReport) -> None:
+    """Prints the measures of the last epoch, and the policy."""
+    if report.epochs:
+        last = report.epochs[-1]
+        print_table(
+            "", ("measure", "value"), [(name, "-" if value is None else f"{value:.4g}") for name, value in last]
+        )
+    seconds = sum(epoch.seconds for epoch in report.epochs)
+    click.echo(
+        f"{report.parameters} parameters on {report.device}: {report.train_episodes} episodes, {report.train_frames} "
+        f"frames; validated on {report.val_episodes} episodes, {report.val_frames} frames; {format_duration(seconds)}"
+    )
+    click.echo(f"policy: bc:{report.out}")

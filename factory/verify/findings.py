@@ -1,10 +1,14 @@
-"""Models of a verification: findings about files, and the report. Reads no files."""
+"""Findings of a verification, its report, and their output as JSON data and text. Reads no files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
+import click
+
+from factory.support.terminal import print_table
 from factory.verify.rendering import RenderDifference
 from schemas.storage.place import Place
 
@@ -58,3 +62,48 @@ class VerifyReport:
 
     def add(self, kind: Kind, file: str, text: str) -> None:
         self.findings.append(Finding(kind, file, text))
+
+    def plain(self) -> dict[str, Any]:
+        """Returns the report as JSON data."""
+        return {
+            "dataset": str(self.root),
+            "deep": self.deep,
+            "ok": self.ok,
+            "complete": self.complete,
+            "episodes": self.episodes,
+            "rendered": self.rendered,
+            "digest": self.digest,
+            "difference": self.difference.plain() if self.rendered else None,
+            "findings": [{"kind": each.kind, "file": each.file, "text": each.text} for each in self.findings],
+        }
+
+
+def print_report(report: VerifyReport) -> None:
+    """Prints a report as text."""
+    for finding in report.findings:
+        click.echo(f"{finding.kind}: {finding.file}: {finding.text}")
+    if report.difference.differing:
+        _print_difference(report.difference)
+    how = "all bytes checked" if report.deep else "files and tables checked; --deep checks the content of episodes"
+    how += f"; frames of {report.rendered} episodes rendered again" if report.rendered else ""
+    verdict = "valid" if report.ok else f"{len(report.findings)} findings"
+    state = "complete" if report.complete else "incomplete"
+    click.echo(f"{report.root}: {verdict} ({how}); {report.episodes} episodes, {state}, digest {report.digest}")
+
+
+def _print_difference(difference: RenderDifference) -> None:
+    click.echo(
+        f"{difference.differing} of {difference.frames} rendered frames differ; recorded with "
+        f"{' and '.join(sorted(difference.recorded_with))}; rendered with "
+        f"{' and '.join(sorted(difference.rendered_with))}"
+    )
+    plain = difference.plain()["channels"]
+    if plain is None:
+        click.echo("the recorded pixels are not stored; --reference compares with a dataset that stores them")
+        return
+    rows = [
+        (name, 100 * values["share"], *(values.get(key) for key in ("mean", "largest")))
+        for name, values in plain.items()
+    ]
+    columns = ("channel", "differing values, %", "mean difference", "largest")
+    print_table(f"{difference.measured} frames compared; colours in levels of 255, depth in metres", columns, rows)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from factory.support.terminal import Bars
 from factory.visualize.panels import TrackMap, show_depth, show_ids
 from schemas.bundle import BundleReader
 from schemas.measure import Goal
@@ -30,6 +31,7 @@ _HOLD_S = 1
 """Duration for which the last picture is repeated, seconds."""
 _GIF_COLOURS = 128
 _FPS = 30
+_GIF_FPS = 15
 Rgb = NDArray[np.uint8]
 
 
@@ -62,6 +64,22 @@ def draw_film(episode: BundleReader, scene: CompiledScene, stride: int) -> Itera
         film.paste(chart.draw(t + 1), (3 * _TILE_PX, 0))
         _write_caption(film, episode, t)
         yield np.asarray(film)
+
+
+def save_film(path: Path, episode: BundleReader, scene: CompiledScene) -> Fraction:
+    """Writes the video of an episode as GIF or MP4, by the suffix of `path`, with a progress bar; returns its rate.
+
+    Raises:
+        UsageError: PyAV is not installed.
+        WorldError: The file cannot be written.
+    """
+    is_gif = path.suffix.lower() == ".gif"
+    stride, rate = film_rate(episode.meta.job.task.control_hz, _GIF_FPS if is_gif else _FPS)
+    write = write_gif if is_gif else write_mp4
+    with Bars(transient=True) as bar:
+        pictures = bar.track(draw_film(episode, scene, stride), total=-(-(episode.length - 1) // stride) + 1)
+        write(path, pictures, rate)
+    return rate
 
 
 def require_mp4() -> None:

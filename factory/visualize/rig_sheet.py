@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.sensor_reading import observe, observe_camera
 from factory.visualize.panels import show_depth, show_ids
+from schemas.errors import UsageError
 from schemas.rig import Camera, CameraOutput, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
 from workers.geometry.camera import mount_rotation
 from workers.sensors import LidarScan, points_of
@@ -81,8 +82,13 @@ def draw_rig_sheet(episode: EpisodeBundle, rig: Rig, columns: int) -> Image.Imag
         episode: bundle of the episode.
         rig: rig with at least one camera or lidar; its other sensors are not drawn.
         columns: number of colour images or scans in a row.
+
+    Raises:
+        UsageError: the rig has neither a camera nor a lidar.
     """
     shown = [sensor for sensor in rig.sensors if not isinstance(sensor, Imu | WheelOdometry)]
+    if not shown:
+        raise UsageError(f"rig {rig.name!r} has no camera and no lidar to show")
     rows = [
         _scans(episode, sensor, columns) if isinstance(sensor, Lidar2d | Lidar3d) else _row(episode, sensor, columns)
         for sensor in shown

@@ -12,7 +12,7 @@ from schemas.base import Model, Name
 
 
 class Relation(StrEnum):
-    """Relation of an object to landmarks, to the room or to the start pose; docs/language.md#thresholds."""
+    """Relation of an object to landmarks, to the room or to the start pose; docs/language/reference.md#thresholds."""
 
     NEXT_TO = "next_to"  # small gap between both footprints, in one room
     LEFT_OF = "left_of"  # left of the landmark, as seen from the start

@@ -1,4 +1,4 @@
-"""Thresholds of relations: where they surely hold, and where they surely do not (docs/language.md#thresholds).
+"""Thresholds of relations: where they surely hold, and where they do not (docs/language/reference.md#thresholds).
 
 Spatial terms have regions of good, acceptable and bad examples (Logan & Sadler 1996). A relation surely holds in the
 good region, and surely does not hold in the bad one; the acceptable region between them is borderline. Values without a

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import pkgutil
 import shutil
 import signal
 import subprocess
@@ -20,9 +19,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from factory import commands
 from factory.cli.main import VERBS
 from tests.builders.fork_server import Child, ForkServer
+from tests.test_layering import PACKAGES, ROOT, imports_of
 
 TINY_PLAN = """
 name = "tiny"
@@ -49,9 +48,17 @@ max_braking_mps2 = 4.0
 brakes gently, because a robot that stops at once rolls back: in such a long control period, it would roll back further
 than validation accepts."""
 
+
+def _work_of_commands() -> set[str]:
+    """Returns the modules of the product that commands import when they are executed."""
+    sources = (ROOT / "factory" / "cli").rglob("*.py")
+    names = {name for path in sources for name in imports_of(path)}
+    return {name for name in names if name.startswith(PACKAGES) and not name.startswith("factory.cli")}
+
+
 IMPORTED = (
-    *(f"factory.cli.{entry.module}" for name, entry in VERBS.items() if name != "bench"),  # bench changes os.environ
-    *(found.name for found in pkgutil.walk_packages(commands.__path__, f"{commands.__name__}.")),
+    *(f"factory.cli.{name}" for name in VERBS),
+    *sorted(_work_of_commands()),
     *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
     *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas
     *("coordinator.validation.validator_child", "factory.eval.process.child", "factory.runs.build_process"),

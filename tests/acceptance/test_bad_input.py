@@ -84,7 +84,7 @@ def test_gather_refuses_a_folder_without_shards(factory, plan, tmp_path):
 
 
 def test_a_worker_without_a_coordinator_prints_the_start_command(factory):
-    err = factory("worker", "--connect", free_endpoint(), "--wait", 2, expect=1).stderr
+    err = factory("worker", "--connect", free_endpoint(), "--connect-timeout", 2, expect=1).stderr
     assert "no coordinator" in err
     assert "factory coordinator start" in err
 

@@ -20,7 +20,7 @@ def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFact
     specs = folder.parent / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "--episodes", 2, "-o", specs)
     shorten(specs, 50)
-    words = ("eval", "--data", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", folder)
+    words = ("eval", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", folder)
     found = factory(*words, "--videos", "1", "--workers", 2)
     assert "replay" in found.stdout
     assert "By split" in found.stdout
@@ -58,7 +58,7 @@ def test_the_page_is_rewritten_byte_for_byte(factory: FactoryCli, drives: Path, 
     before = (out / "index.html").read_bytes()
     shutil.rmtree(out / "policies" / "stop" / "videos")
     specs = out.parent / "specs.json"
-    words = ("eval", "--data", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out)
+    words = ("eval", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out)
     factory(*words, "--videos", "1")
     assert (out / "index.html").read_bytes() == before
 
@@ -66,9 +66,7 @@ def test_the_page_is_rewritten_byte_for_byte(factory: FactoryCli, drives: Path, 
 def test_a_repeated_command_runs_no_episode_twice(factory: FactoryCli, drives: Path, out: Path) -> None:
     before = {path: path.read_bytes() for path in out.rglob("episodes.jsonl")}
     specs = out.parent / "specs.json"
-    found = factory.json(
-        "eval", "--data", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out
-    )
+    found = factory.json("eval", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out)
     assert found["policies"][0]["overall"]["success"]["count"] == 2
     assert {path: path.read_bytes() for path in out.rglob("episodes.jsonl")} == before
 
@@ -82,7 +80,7 @@ def test_two_policies_are_compared_by_paired_episodes(factory: FactoryCli, out: 
 
 def test_ctrl_c_keeps_finished_episodes(factory: FactoryCli, drives: Path, out: Path, tmp_path: Path) -> None:
     slow = "tests.builders.policies:Slow"  # slow, so the second episode still runs when the first is written
-    words = ("--data", drives, "--specs", out.parent / "specs.json", "--policy", slow, "--workers", 1)
+    words = (drives, "--specs", out.parent / "specs.json", "--policy", slow, "--workers", 1)
     process = factory.start("eval", *words, "-o", tmp_path / "out")
     wait_for(lambda: any(log.stat().st_size for log in tmp_path.rglob("episodes.jsonl")))
     process.send_signal(signal.SIGINT)
@@ -98,7 +96,7 @@ def test_the_error_of_a_failing_policy_is_quoted_and_the_policy_can_be_run_again
     factory: FactoryCli, drives: Path, out: Path, tmp_path: Path
 ) -> None:
     specs = out.parent / "specs.json"
-    words = ("eval", "--data", drives, "--specs", specs, "--policy", "tests.builders.policies:Raises", "--videos", 0)
+    words = ("eval", drives, "--specs", specs, "--policy", "tests.builders.policies:Raises", "--videos", 0)
     first = factory(*words, "-o", tmp_path / "out", expect=1)
     assert "2 of 2 episodes ended with policy_raised" in first.stdout
     assert "KeyError: 'depth_front' (policies.py:" in first.stdout

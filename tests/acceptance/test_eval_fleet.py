@@ -52,10 +52,10 @@ def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
 def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:
-    words: tuple[object, ...] = ("eval", "--data", drives, "--specs", specs, "--videos", 0)
+    words: tuple[object, ...] = ("eval", drives, "--specs", specs, "--videos", 0)
     words += tuple(word for policy in POLICIES for word in ("--policy", policy))
     worker: tuple[object, ...] = ("worker", "--cores", 1, "--connect", endpoint, "--spool", tmp_path / "spool")
-    worker += ("--wait", 120, "--import-policies")
+    worker += ("--connect-timeout", 120, "--import-policies")
     out, reference = tmp_path / "fleet", tmp_path / "reference"
 
     run = factory.start(*words, "--listen", endpoint, "-o", out)
@@ -81,9 +81,11 @@ def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
 def test_a_policy_that_no_worker_can_construct_ends_the_evaluation_with_the_reason(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:
-    words = ("eval", "--data", drives, "--specs", specs, "--episodes", 1, "--policy", "nowhere.to_be:Found")
+    words = ("eval", drives, "--specs", specs, "--episodes", 1, "--policy", "nowhere.to_be:Found")
     run = factory.start(*words, "--listen", endpoint, "-o", tmp_path / "out")
-    factory.start("worker", "--import-policies", "--connect", endpoint, "--spool", tmp_path / "spool", "--wait", 120)
+    factory.start(
+        "worker", "--import-policies", "--connect", endpoint, "--spool", tmp_path / "spool", "--connect-timeout", 120
+    )
     _, log = run.communicate(timeout=240)
     assert run.returncode == 1
     assert "no module 'nowhere'; looked in" in log

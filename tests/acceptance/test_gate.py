@@ -20,9 +20,7 @@ episodes = 50
 def test_gate_passes_a_pilot_that_reaches_the_required_share(factory, tmp_path):
     plan = tmp_path / "pilot.toml"
     plan.write_text(PILOT)
-    report = factory.json(
-        *("gate", "--scene", "hospital", "--plan", plan, "--episodes", 2, "--min-success", 0.5, "--workers", 2)
-    )
+    report = factory.json(*("gate", plan, "--scene", "hospital", "--episodes", 2, "--min-success", 0.5, "--workers", 2))
     assert report["passed"] is True
     assert report["success"]["of"] == report["by_tier"]["near"]["of"] == 2
     assert list(tmp_path.iterdir()) == [plan]
@@ -31,7 +29,7 @@ def test_gate_passes_a_pilot_that_reaches_the_required_share(factory, tmp_path):
 def test_gate_fails_below_the_required_share_and_names_the_reasons(factory, tmp_path):
     plan = tmp_path / "hasty.toml"
     plan.write_text("[task]\nmax_steps = 20\n" + PILOT)
-    done = factory("gate", "--scene", "hospital", "--plan", plan, "--episodes", 2, "--workers", 1, expect=1)
+    done = factory("gate", plan, "--scene", "hospital", "--episodes", 2, "--workers", 1, expect=1)
     assert "failures: 2 timeout" in done.stdout
     assert "80 % required" in done.stdout
 

@@ -18,7 +18,7 @@ def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
         words = ("--connect", core, "--out", tmp_path / name, "--listen", door, "--name", name, "--http", "127.0.0.1:0")
         gateways.append(factory.start("gateway", "start", *words))
         wait_for(lambda name=name: (tmp_path / name / "gateway.json").exists())  # the gateway has joined
-    factory("worker", "--connect", ",".join(doors), "--spool", tmp_path / "spool", "--wait", 60)
+    factory("worker", "--connect", ",".join(doors), "--spool", tmp_path / "spool", "--connect-timeout", 60)
     assert hub.wait(180) == 0
     progress = factory.json("status", out)
     assert sum(progress["by_gateway"].values()) == progress["jobs"]["archived"] == 5

@@ -24,7 +24,7 @@ def test_a_run_into_a_bucket_is_made_resumed_verified_and_reported(server, plan,
         read = factory.json("bench", "read", url, "--frames", 4, "--repeats", 1, "--workers", 0)
         assert (read["episodes"], read["frames"]) == (1, 4)
         assert f"supports dataset directories only, not {url}" in factory("push", url, "me/tiny", expect=2).stderr
-        assert "supports dataset directories only, not" in factory("eval", "--data", url, expect=2).stderr
+        assert "supports dataset directories only, not" in factory("eval", url, expect=2).stderr
     finally:
         factory.end()
     (home,) = (state / "archives").iterdir()

@@ -64,13 +64,13 @@ def test_every_command_that_takes_a_stage_refuses_an_fbx_file_before_building(fa
         '[[scenes]]\nname = "shop"\nfile = "shop.fbx"\nseen = ["chair"]\nepisodes = 2\n'
     )
     for verb in (
-        ("scene", "import", tmp_path / "shop.fbx", "--cache", tmp_path / "cache"),
+        ("scene", "import", tmp_path / "shop.fbx", "-o", tmp_path / "cache"),
         ("scene", "inspect", tmp_path / "shop.fbx"),
         ("scene", "survey", tmp_path / "shop.fbx"),
         ("plan", "show", plan),
         ("plan", "nearest", plan),
         ("run", plan, "--out", tmp_path / "x"),
-        ("gate", "--plan", plan, "--scene", "shop"),
+        ("gate", plan, "--scene", "shop"),
         ("coordinator", "start", plan, "--out", tmp_path / "x"),
     ):
         err = factory(*verb, expect=2).stderr

@@ -12,7 +12,7 @@ TEXT = StageText()
 def room(factory, folder, body=None):
     folder.mkdir(exist_ok=True)
     stage = TEXT.write(folder / "room.usda", room_body(TEXT) if body is None else body)
-    return stage, factory.json("scene", "import", stage, "--cache", folder / "cache")["package"]
+    return stage, factory.json("scene", "import", stage, "-o", folder / "cache")["package"]
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_a_ceiling_added_at_import_is_part_of_the_printed_plan(factory, tmp_path
 
 def test_a_package_in_another_folder_is_found_by_path(factory, tmp_path):
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
-    made = factory.json("scene", "import", stage, "--name", "attic", "--cache", tmp_path / "a b")
+    made = factory.json("scene", "import", stage, "--name", "attic", "-o", tmp_path / "a b")
     assert made["next"][0] == f"factory scene inspect '{made['package']}' -o attic.png"
     assert [thing["category"] for thing in made["no_target"]] == [None] * 5
     assert "'attic' is neither a scene nor an existing file" in factory("scene", "inspect", "attic", expect=2).stderr
@@ -105,7 +105,7 @@ def test_import_and_plans_apply_an_edited_target_list(factory, tmp_path):
     assert factory.json("scene", "targets", package, "-o", edits)["targets"] == 2
     assert "--force" in factory("scene", "targets", package, "-o", edits, expect=2).stderr
     edits.write_text(edits.read_text().replace("colour: red", "colour: blue").replace("id: plant_001", "id: ficus_7"))
-    facts = factory.json("scene", "import", stage, "--targets", edits, "--cache", tmp_path / "cache")
+    facts = factory.json("scene", "import", stage, "--targets", edits, "-o", tmp_path / "cache")
     found = factory.json("scene", "inspect", facts["package"])["targets"]
     assert [(target["id"], target["colour"]) for target in found] == [("chair_001", "blue"), ("ficus_7", "green")]
     plan = tmp_path / "mine.toml"
@@ -160,7 +160,7 @@ BAD = {
 def test_an_unusable_stage_is_refused_with_the_reason_and_leaves_no_files(factory, tmp_path, what):
     body, unit, words = BAD[what]
     stage = TEXT.write(tmp_path / "bad.usda", body, units=f"metersPerUnit = {unit}")
-    error = factory("scene", "import", stage, "--cache", tmp_path / "cache", expect=1).stderr
+    error = factory("scene", "import", stage, "-o", tmp_path / "cache", expect=1).stderr
     assert words in error
     assert "Traceback" not in error
     assert sorted(tmp_path.rglob("*")) == [stage]

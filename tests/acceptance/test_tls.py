@@ -21,7 +21,7 @@ def test_only_admitted_workers_can_finish_a_run_with_tls(factory: FactoryCli, pl
     assert "--tls" in factory(*start, expect=2).stderr
     hub = factory.start(*start, "--tls", pki / "hub")
     wait_for(lambda: (out / ".coordinator.json").exists())
-    outsider = ("worker", "--connect", endpoint, "--wait", 1, "--spool", tmp_path / "spool")
+    outsider = ("worker", "--connect", endpoint, "--connect-timeout", 1, "--spool", tmp_path / "spool")
     assert (
         "cannot be combined"
         in factory("worker", "--tls", pki / "gone", "--connect", endpoint[:1] + "cp/" + endpoint[4:], expect=2).stderr

@@ -30,13 +30,12 @@ from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.results import Machine, Memory
 from factory.bench.tables import print_machine
 from factory.bench.workload import SAMPLE_PLAN, make_sample, narrow, temporary_folder
-from factory.cli.common.options import count_option, json_option
-from factory.commands.common.bars import Bars
-from factory.commands.common.output import print_result, print_table
+from factory.cli.options import count_option, json_option
 from factory.dataset.reader import Dataset
 from factory.runs.catalog import open_catalog
 from factory.runs.scene_packages import find_package
 from factory.support.settings import scene_cache
+from factory.support.terminal import Bars, print_result, print_table
 from factory.verify.dataset import verify
 from schemas.base import Model
 from schemas.terms import Recording

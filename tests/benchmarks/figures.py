@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from factory.commands.common.output import print_table
+from factory.support.terminal import print_table
 
 COORDINATOR = ["--jobs", "1000000", "--workers", "64", "--sessions", "2000", "--bundle-mb", "32"]
 BENCHES = {

@@ -22,11 +22,10 @@ from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.results import Machine, Memory
 from factory.bench.tables import print_machine, progress_bar
 from factory.bench.workload import first_attempts, narrow, temporary_folder
-from factory.cli.common.filters import scene_filter
-from factory.cli.common.options import count_option, json_option, renderer_option
-from factory.commands.common.output import print_result, print_table
+from factory.cli.options import count_option, json_option, renderer_option, scene_filter
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
+from factory.support.terminal import print_result, print_table
 from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.job import Job

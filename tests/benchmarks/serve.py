@@ -24,9 +24,9 @@ import numpy as np
 from factory.bench.machine import describe_machine
 from factory.bench.results import Machine, Spread
 from factory.bench.tables import print_machine, range_text
-from factory.cli.common.options import count_option, json_option, number_option, place_argument
-from factory.commands.common.output import print_result, print_table
+from factory.cli.options import count_option, json_option, number_option, place_argument
 from factory.dataset.reader import Dataset
+from factory.support.terminal import print_result, print_table
 from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.storage.place import Place

@@ -32,10 +32,10 @@ from factory.bench.machine import describe_machine
 from factory.bench.results import Machine
 from factory.bench.tables import progress_bar
 from factory.bench.workload import SAMPLE_PLAN, make_sample, narrow, temporary_folder
-from factory.cli.common.options import count_option, json_option, number_option
-from factory.commands.common.output import print_result, print_table
+from factory.cli.options import count_option, json_option, number_option
 from factory.runs.catalog import open_catalog
 from factory.support.settings import scene_cache
+from factory.support.terminal import print_result, print_table
 from schemas.base import Model
 from schemas.bundle import BundleReader
 from schemas.episode import EpisodeMeta

@@ -21,7 +21,7 @@ from coordinator.ledger.database.engine import sqlite_url
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import METADATA, episodes, events, jobs
 from coordinator.tables.checkpoint import Checkpoints
-from factory.commands.common.output import print_table
+from factory.support.terminal import print_table
 from schemas.dataset.rows import summary_of
 from schemas.episode_spec import EpisodeSpec
 from tests.builders.bundle import parts_for

@@ -23,11 +23,11 @@ import click
 
 from factory.bench.machine import describe_machine
 from factory.bench.results import Machine, Spread
-from factory.cli.common.options import count_option, json_option, number_option, plan_argument, workers_option
-from factory.commands.common.output import print_result, print_table
+from factory.cli.options import count_option, json_option, number_option, plan_argument, workers_option
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site, site_of
 from factory.runs.ledger import progress_in, read_ledger
+from factory.support.terminal import print_result, print_table
 from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.plan import MAX_EPISODES

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from factory.cli.common.groups import DefaultGroup
+from factory.cli.groups import DefaultGroup
 from factory.cli.main import cli
 
 ROOT = Path(__file__).parents[2]

@@ -124,7 +124,8 @@ def real_commands(plan: Path, episodes: int) -> ClusterCommands:
             *("--lease", 3 * LEASE_S, "--stay"),
         ),
         lambda folder, endpoint, _bundle_maker: _module(
-            *("factory", "worker", "--connect", endpoint, "--cores", 1, "--spool", folder / "spool", "--wait", 600)
+            *("factory", "worker", "--connect", endpoint, "--cores", 1, "--spool", folder / "spool"),
+            *("--connect-timeout", 600),
         ),
         longest_s=1200.0,
         has_small_disk=False,

@@ -25,7 +25,7 @@ SIMULATING = (
     ("coordinator", "start", "demo", "--out", "made"),
     ("gate", "--scene", "office"),
     ("jobs", "list", "dataset"),
-    ("eval", "--data", "dataset", "--policy", "stop", "-o", "made"),
+    ("eval", "dataset", "--policy", "stop", "-o", "made"),
 )
 FOREIGN = "factory_boy==3.3.3"
 

@@ -181,7 +181,7 @@ def test_the_sheet_of_a_rig_has_a_row_for_each_camera_and_lidar(data: Dataset):
 def test_factory_show_draws_the_cameras_of_a_rig(recordings: dict[Recording, Path], tmp_path: Path):
     from click.testing import CliRunner
 
-    from factory.cli.inspect.show import command
+    from factory.cli.show import command
 
     run = CliRunner(catch_exceptions=False)
     root = str(recordings[Recording.STATES])

@@ -15,7 +15,7 @@ from coordinator.options import CoordinatorOptions
 from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.cli.inspect.jobs import command as jobs
+from factory.cli.jobs import command as jobs
 from schemas.errors import UsageError, WorldError
 from schemas.protocol.address_file import mark_finished, read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest

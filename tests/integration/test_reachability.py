@@ -14,8 +14,8 @@ from coordinator.protocol.ask import ask_progress
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.commands.common.admission import find_hosts
 from factory.keys import admit
+from factory.support.listen import find_hosts
 from schemas.errors import RunFinished, TransientError, WorldError
 from schemas.protocol.address_file import (
     ADDRESS_FILE,

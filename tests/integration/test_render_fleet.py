@@ -34,7 +34,7 @@ def test_episodes_that_are_rendered_at_gateways_are_gathered(
     start = ("coordinator", "start", "--states", recordings[Recording.STATES], "--out", out, "--listen", core)
     relay = ("gateway", "start", "--connect", core, "--out", gateway, "--listen", door, "--name", "gw1")
     coordinator, between = factory.start(*start), factory.start(*relay)
-    factory("worker", "--cores", 1, "--connect", door, "--spool", tmp_path / "spool", "--wait", 60)
+    factory("worker", "--cores", 1, "--connect", door, "--spool", tmp_path / "spool", "--connect-timeout", 60)
     assert coordinator.wait(60) == 0
     between.terminate()
     between.wait(60)

@@ -19,7 +19,7 @@ from PIL import Image
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from factory.cli.publish.export import command
+from factory.cli.export import command
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from schemas.terms import Recording

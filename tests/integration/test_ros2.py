@@ -17,7 +17,7 @@ from PIL import Image
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from factory.cli.publish.export import command
+from factory.cli.export import command
 from factory.dataset.reader import Dataset
 from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.mcap.ros2_cdr import encode

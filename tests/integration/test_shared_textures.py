@@ -10,12 +10,12 @@ import pytest
 
 from coordinator.recovery.repair_dataset import repair
 from coordinator.validation.validator import Validator
-from factory.commands.farm.submit import _copy_scenes
 from factory.dataset.packages import ScenePackage, find_package_file
 from factory.push.files import plan_push
 from factory.relabel.relabel_dataset import relabel
 from factory.runs.catalog import open_catalog
 from factory.scenes.build import package_path
+from factory.submit.slurm import copy_scenes
 from factory.verify.dataset import verify
 from factory.verify.findings import Kind
 from factory.verify.repair_input import inspect_dataset
@@ -118,7 +118,7 @@ def test_packages_in_another_folder_require_the_textures_in_that_folder(run: Pat
 
 
 def test_a_batch_run_copies_the_textures_once(run: Path, tmp_path: Path) -> None:
-    _copy_scenes(open_catalog(PLAN, run, tmp_path / "scenes"), tmp_path / "batch/scenes")
+    copy_scenes(open_catalog(PLAN, run, tmp_path / "scenes"), tmp_path / "batch/scenes")
     packages = sorted((tmp_path / "batch/scenes").glob("*.scene.zip"))
     assert [read_scene(path).info.name for path in packages] == [FIRST, SECOND]
     assert len(textures(tmp_path / "batch")) == 2

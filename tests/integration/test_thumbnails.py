@@ -10,7 +10,7 @@ import pytest
 
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.tables.split_tables import find_faults, write_split_tables
-from factory.push.thumbnails import lacks_thumbnails, render_thumbnails
+from factory.push.files import lacks_thumbnails, render_thumbnails
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import FactoryCli
 

@@ -33,7 +33,7 @@ def main() -> None:
     name = min(path.name for path in paper.episodes.iterdir())
     with tempfile.TemporaryDirectory() as place:
         seen, made = Path(place) / "view.rrd", Path(place) / "mcap.rrd"
-        run("-m", "factory", "view", str(dataset), name, "--save", str(seen), "--stride", str(STRIDE))
+        run("-m", "factory", "view", str(dataset), name, "-o", str(seen), "--stride", str(STRIDE))
         print_row(dataset, f"factory view, {reader}", check_view(paper, name, seen))
         run("-m", "rerun", "mcap", "convert", str(mcap / f"episodes/{name}.mcap"), "-o", str(made))
         print_row(mcap, reader, check_mcap(paper, name, made))

@@ -28,7 +28,7 @@ _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
 _BUILD_S = 900.0
 """Time without a report after which a build is killed as hung, seconds. A build reports only its end and takes 2 to 9 s
-of CPU time (docs/performance.md#layouts)."""
+of CPU time (docs/performance/layouts.md#building)."""
 _STARTS = 3
 _LAST_TRIES = 2
 _SIGNALLED_S = 1.0

@@ -36,7 +36,7 @@ class RobotSide(StrEnum):
 
 
 class TurnSize(StrEnum):
-    """Size of a turn; docs/language.md#routes has the angles."""
+    """Size of a turn; docs/language/reference.md#routes has the angles."""
 
     SLIGHT = "slight"  # about 45 degrees
     PLAIN = "plain"  # about 90 degrees

@@ -1,4 +1,4 @@
-"""Thresholds of routes (docs/language.md#routes).
+"""Thresholds of routes (docs/language/reference.md#routes).
 
 Turn concepts have prototypes at 45, 90 and 135 degrees (Klippel et al., Wayfinding choremes, J. Visual Languages and
 Computing 16, 2005); sectors around them differ in size (Klippel and Montello, COSIT 2007).

@@ -1,7 +1,7 @@
 """Decides which objects of a scene graph an expression fits, and whether a sentence fits its target.
 
 Independent of the generator: it reads the sentence again, measures footprints as polygons one by one, and follows the
-definitions in docs/language.md. It shares the thresholds, the graph and the words with the generator.
+definitions in docs/language/reference.md. It shares the thresholds, the graph and the words with the generator.
 
 Design: docs/design/language.md#sentences-are-verified-by-parsing.
 """

@@ -52,7 +52,7 @@ def test_every_command_that_prints_a_result_can_print_json() -> None:
     [
         (("status", "da"), [("dir", "da")]),
         (("verify", "da"), [("dir", "da")]),
-        (("eval", "--data", "da"), [("dir", "da")]),
+        (("eval", "da"), [("dir", "da")]),
         (("run", "pa"), [("plain", "paper")]),
         (("run", "my_"), [("file", "my_")]),
         (("scene", "inspect", "hos"), [("plain", "hospital")]),

@@ -20,8 +20,8 @@ from tests.builders.dataset import make_dataset
 ROOT = Path(__file__).parents[4]
 WANTED = [
     ("rerun", ("view", "DATA", "1"), "view"),
-    ("torch", ("eval", "--data", "DATA", "--policy", "bc:nowhere", "-o", "OUT"), "train"),
-    ("torch", ("train", "bc", "--data", "DATA", "-o", "OUT"), "train"),
+    ("torch", ("eval", "DATA", "--policy", "bc:nowhere", "-o", "OUT"), "train"),
+    ("torch", ("train", "bc", "DATA", "-o", "OUT"), "train"),
 ]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from factory.cli.publish.export import command
+from factory.cli.export import command
 from factory.dataset.reader import Dataset
 from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.execution.selection import parse_episodes, select
@@ -219,7 +219,7 @@ def test_the_command_names_missing_episodes_of_the_plan_and_exits_with_1(tmp_pat
         assert done.return_value == 1
         assert "missing in the dataset: ep_000002, ep_000003, ep_000004, ep_000005, ep_000006 and 1 more" in done.stderr
         assert "6 episodes missing in the dataset" in done.stdout
-    chosen = [*words[:4], str(tmp_path / "one"), "--episodes", "1"]
+    chosen = [*words[:4], str(tmp_path / "one"), "--episode", "1"]
     assert CliRunner().invoke(command, chosen, standalone_mode=False).return_value == 0
 
 

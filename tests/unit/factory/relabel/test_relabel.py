@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from factory.cli.publish.relabel import command
+from factory.cli.relabel import command
 from factory.dataset.reader import Dataset
 from factory.relabel.part import LanguageStart, rows_of
 from factory.relabel.relabel_dataset import relabel

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 from numpy.typing import NDArray
 
-from factory.cli.inspect.stats import command
+from factory.cli.stats import command
 from factory.report import render_report
 from factory.report.figures import language
 from factory.report.gather import gather

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from factory.cli.inspect.show import command
+from factory.cli.show import command
 from factory.visualize.film import draw_film, facts_of_step, film_rate
 from factory.visualize.panels import TrackMap, draw_contact_sheet, show_depth, show_ids
 from schemas.bundle import BundleReader

@@ -9,7 +9,7 @@ import click
 import numpy as np
 import pytest
 
-from factory.cli.scene.command import import_
+from factory.cli.scene import import_
 from factory.scenes.compile.compiler import compile_stage
 from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction

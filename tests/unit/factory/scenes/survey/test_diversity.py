@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from click.testing import CliRunner
 
-from factory.cli.scene.survey import command
+from factory.cli.scene import survey
 from factory.scenes.survey.diversity import LayoutFacts, map_distance, nearest_neighbours, spreads
 
 
@@ -48,6 +48,6 @@ def test_a_spread_summarises_a_measure_over_all_layouts() -> None:
 
 def test_a_survey_requires_either_a_scene_or_a_family() -> None:
     for arguments in ([], ["office", "--family", "office"]):
-        outcome = CliRunner().invoke(command, arguments)
+        outcome = CliRunner().invoke(survey, arguments)
         assert outcome.exit_code == 2
         assert "either SCENE|PACKAGE or --family NAME" in outcome.output

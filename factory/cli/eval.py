@@ -1,0 +1,370 @@
+"""`factory eval`: evaluates policies in closed loop on a dataset, writes evaluation episodes, and compares policies."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from factory.cli.groups import DefaultCommand, DefaultGroup
+from factory.cli.options import (
+    DIRECTORY,
+    appearance_option,
+    connect_option,
+    count_option,
+    json_option,
+    listen_option,
+    number_option,
+    place_argument,
+    renderer_option,
+    rig_option,
+    split_filter,
+    tls_option,
+    workers_option,
+    write_option,
+)
+from factory.eval.models.result import Variant
+from schemas.errors import UsageError
+from schemas.terms import Split
+
+if TYPE_CHECKING:
+    from factory.eval.models.spec import SpecSet
+    from factory.eval.remote.fleet import FleetAccess
+    from factory.eval.results.score import Evaluation
+    from factory.eval.results.store import Store
+    from factory.eval.specs.campaign import Campaign
+    from schemas.storage.place import Place
+    from schemas.terms import RendererKind
+
+_RESULTS = click.Path(path_type=Path)
+_split_option = split_filter(
+    f"Split to include; repeatable. Values: {', '.join(Split)}, all. Default: the test splits."
+)
+
+
+@click.group("eval", cls=DefaultGroup)
+def command() -> None:
+    """Evaluate policies in closed loop on the episodes of a dataset."""
+
+
+@click.command("run", cls=DefaultCommand, hidden=True)
+@click.argument("root", metavar="DIR", type=DIRECTORY)
+@_split_option
+@click.option(
+    "--policy", "policies", multiple=True, metavar="POLICY", help="Policy to evaluate, see above; repeatable."
+)
+@click.option(
+    "--specs",
+    "specs_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="File of evaluation episodes, written by `factory eval specs`. Default: the episodes of the dataset.",
+)
+@click.option(
+    "--ablate-language", is_flag=True, help="Also evaluate with shuffled, wrong-category and empty instructions."
+)
+@count_option("--episodes", None, "Number of episodes, selected at even intervals. Default: all.")
+@workers_option("Number of simulation processes on this machine")
+@listen_option("Endpoint to listen on; `factory worker` processes that connect run the episodes. Repeatable.")
+@connect_option("Endpoint of a running coordinator whose workers run the episodes; repeatable.")
+@tls_option
+@write_option(
+    "DIR",
+    "Output directory. An interrupted evaluation with the same options is continued. Default: no output files.",
+)
+@number_option("SECONDS", "--act-timeout", 10.0, "Timeout for each action, seconds.", least=0.01)
+@number_option(
+    "SECONDS", "--load-timeout", 300.0, "Timeout for loading the policy and for each reset, seconds.", least=0.1
+)
+@click.option(
+    "--pose", "with_pose", is_flag=True, help="Add the robot's pose, in the start frame, to the observations."
+)
+@rig_option(
+    "Sensors that policies get: a built-in rig or a TOML file. A policy that needs another sensor is refused. Default: "
+    "the recorded camera."
+)
+@appearance_option("Default: the scenes as they were compiled.")
+@count_option("--videos", 12, "Maximum number of videos of failed episodes for each policy.", least=0)
+@click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
+@renderer_option
+@json_option
+def run(
+    root: Path,
+    splits: tuple[str, ...] | None,
+    policies: tuple[str, ...],
+    specs_path: Path | None,
+    ablate_language: bool,
+    episodes: int | None,
+    workers: int | None,
+    listen: tuple[str, ...],
+    connect: tuple[str, ...],
+    tls: Path | None,
+    out: Path | None,
+    act_timeout: float,
+    load_timeout: float,
+    with_pose: bool,
+    rig: str | None,
+    appearance: str | None,
+    videos: int,
+    all_tables: bool,
+    renderer: RendererKind,
+    as_json: bool,
+) -> int:
+    """Evaluate policies in closed loop on the episodes of a dataset.
+
+    \b
+    POLICY is one of
+      built-in:  expert, planner, random, stop, bc:DIR,
+                 replay (recorded actions of the same episode),
+                 playback (recorded actions of another episode)
+      a class:   package.module:Class (see docs/evaluation/README.md)
+      a server:  ws://HOST:PORT (openpi's protocol: WebSocket and msgpack)
+
+    Writes episodes.parquet, results.json and index.html to --out. The same command continues an interrupted evaluation.
+    """
+    from factory.eval.order import EvalOptions, make_campaign
+    from factory.eval.results.text import print_evaluation
+    from factory.support.logs import configure_logs
+    from factory.support.terminal import print_result
+
+    configure_logs()
+    access = _network_access(listen, connect, tls=tls, out=out, workers=workers)
+    options = EvalOptions(
+        root=root,
+        splits=splits,
+        policies=policies,
+        specs_path=specs_path,
+        ablate_language=ablate_language,
+        episodes=episodes,
+        workers=workers,
+        act_timeout=act_timeout,
+        load_timeout=load_timeout,
+        with_pose=with_pose,
+        renderer=renderer,
+        rig=rig,
+        appearance=appearance,
+    )
+    campaign = make_campaign(options, drives_here=access is None)
+
+    def show(evaluation: Evaluation) -> None:
+        print_result(evaluation, as_json, lambda result: print_evaluation(result, all_tables))
+
+    return _evaluate(campaign, access, out, videos=videos, show=show)
+
+
+command.set_default(run)
+
+
+def _evaluate(
+    campaign: Campaign,
+    access: FleetAccess | None,
+    out: Path | None,
+    *,
+    videos: int,
+    show: Callable[[Evaluation], None],
+) -> int:
+    """Runs a campaign and returns the exit code.
+
+    Args:
+        campaign: the campaign.
+        access: network access to remote workers; `None` if this machine runs the episodes.
+        out: output directory, or `None`.
+        videos: maximum number of videos for each policy.
+        show: prints the evaluation.
+    """
+    from factory.eval.order import open_store, published
+    from factory.eval.results.publish import evaluation_of
+
+    with ExitStack() as stack:
+        folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
+        store = stack.enter_context(open_store(campaign, folder))
+        if not _drive(campaign, store, access):
+            kept = "run the same command again to continue" if out else "the results were not stored: use -o DIR"
+            click.echo(f"interrupted: {kept}", err=True)
+            return 130
+        evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)
+        show(evaluation)
+        if out:
+            click.echo(f"results in {out}: results.json, episodes.parquet, index.html", err=True)
+            _print_repeat_command(evaluation, store)
+    return _exit_code_of(evaluation)
+
+
+def _drive(campaign: Campaign, store: Store, access: FleetAccess | None) -> bool:
+    from factory.dataset.reader import Dataset
+    from factory.eval.order import pace_bars
+    from factory.eval.process.local_campaign import run_campaign
+    from factory.eval.remote.fleet import run_fleet
+    from workers.client.stopping import stop_on_signals
+
+    with stop_on_signals() as (stop, _), pace_bars(campaign) as on_progress:
+        if access is None:
+            return run_campaign(campaign, store, stop, on_progress)
+        return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, access, stop, on_progress)
+
+
+def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
+    folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
+    if folders:
+        again = f"run `rm -r {' '.join(folders)}` and the same command again"
+        click.echo(f"note: results with policy faults are kept; to evaluate a corrected policy, {again}", err=True)
+
+
+def _exit_code_of(evaluation: Evaluation) -> int:
+    """Returns the exit code: 1 if a policy had a fault in every episode, because such a policy was not evaluated."""
+    lost = [policy.policy for policy in evaluation.policies if policy.only_failed]
+    for name in lost:
+        click.echo(f"error: policy {name} had a fault in every episode, so it was not evaluated", err=True)
+    return 1 if lost else 0
+
+
+def _network_access(
+    listen: tuple[str, ...], connect: tuple[str, ...], *, tls: Path | None, out: Path | None, workers: int | None
+) -> FleetAccess | None:
+    """Returns the network access to remote workers; `None` if this machine runs the episodes."""
+    if not (listen or connect):
+        if tls is not None:
+            raise UsageError("--tls requires --listen or --connect; give one of them, or remove --tls")
+        return None
+    if out is None:
+        raise UsageError("--listen and --connect require -o DIR, where the results of the workers are stored")
+    if workers is not None:
+        raise UsageError(
+            "--workers cannot be combined with --listen or --connect: remove it and start `factory worker` on each host"
+        )
+    from coordinator.protocol.tls import Guard
+    from factory.eval.remote.fleet import FleetAccess
+    from factory.support.listen import choose_listening, require_loopback, require_tls_endpoints
+
+    if tls is not None and connect:
+        if listen:
+            raise UsageError(
+                "--tls with both --listen and --connect is not supported, because a certificate has one role: give one "
+                "of them"
+            )
+        require_tls_endpoints(connect)
+        return FleetAccess((), connect, Guard(tls, listens=False), _print_worker_command)
+    require_loopback(connect)
+    guard, endpoints = choose_listening(tls, listen) if listen else (None, ())
+    return FleetAccess(endpoints, connect, guard, _print_worker_command)
+
+
+def _print_worker_command(endpoints: tuple[str, ...]) -> None:
+    for endpoint in endpoints:
+        click.echo(f"factory worker --cores 2 --connect {endpoint}", err=True)
+
+
+@command.command("specs")
+@place_argument
+@_split_option
+@click.option(
+    "--unfiltered", is_flag=True, help="Sample new start states, including those where the expert would fail."
+)
+@count_option("--episodes", None, "Number of episodes. Default: all; with --unfiltered: 100.")
+@count_option("--seed", 0, "Random seed of --unfiltered.", least=0)
+@write_option("FILE", "JSON file to write.", required=True)
+@json_option
+def specs(
+    root: Place,
+    splits: tuple[str, ...] | None,
+    unfiltered: bool,
+    episodes: int | None,
+    seed: int,
+    out: Path,
+    as_json: bool,
+) -> int:
+    """Write the evaluation episodes of a dataset to a file.
+
+    Evaluations with the same specs file use the same episodes.
+    """
+    from factory.dataset.reader import Dataset
+    from factory.eval.models.spec import write_specs
+    from factory.eval.order import splits_of
+    from factory.eval.specs.from_dataset import specs_of_dataset
+    from factory.eval.specs.unfiltered import unfiltered_specs
+    from factory.support.logs import configure_logs
+    from factory.support.terminal import one_bar, print_json
+    from workers.sim.context import SceneRenderer
+
+    configure_logs()
+    dataset = Dataset(root)
+    chosen = splits_of(dataset, splits)
+    with one_bar("start states") as on_progress:
+        if unfiltered:
+            with SceneRenderer() as renderer:
+                result = unfiltered_specs(dataset, chosen, episodes or 100, seed=seed, stage=renderer, tell=on_progress)
+        else:
+            result = specs_of_dataset(dataset, chosen, on_progress, episodes)
+    write_specs(result, out)
+    if as_json:
+        print_json(_specs_data(result, out))
+    else:
+        _print_specs(result, out)
+    return 0
+
+
+def _specs_data(specs: SpecSet, out: Path) -> dict[str, object]:
+    return {
+        "file": str(out),
+        "digest": specs.digest,
+        "source": specs.source,
+        "episodes": len(specs.specs),
+        "splits": dict(Counter(str(spec.split) for spec in specs.specs)),
+        "tiers": dict(Counter(str(spec.tier) for spec in specs.specs)),
+        "scenes": dict(Counter(spec.scene for spec in specs.specs)),
+        "starts": dict(Counter(spec.spawn_source for spec in specs.specs)),
+        "target_in_view": sum(spec.is_target_in_view for spec in specs.specs),
+        "two_or_more_categories_in_view": sum(len(spec.categories_in_view) > 1 for spec in specs.specs),
+        "without_way": sum(spec.geodesic_m is None for spec in specs.specs),
+    }
+
+
+def _print_specs(specs: SpecSet, out: Path) -> None:
+    from factory.support.terminal import print_table
+
+    summary = _specs_data(specs, out)
+    rows = [
+        (split, sum(spec.split == split for spec in specs.specs))
+        for split in Split
+        if any(spec.split == split for spec in specs.specs)
+    ]
+    print_table("", ("split", "episodes"), rows)
+    click.echo(f"{len(specs.specs)} episodes: {specs.source}")
+    click.echo(
+        f"target in view at the start: {summary['target_in_view']}; two or more categories in view: "
+        f"{summary['two_or_more_categories_in_view']}; no path on the floor: {summary['without_way']}"
+    )
+    click.echo(f"written to {out}, digest {specs.digest[:16]}")
+
+
+@command.command("compare")
+@click.argument("first", metavar="A", type=_RESULTS)
+@click.argument("second", metavar="B", type=_RESULTS)
+@click.option(
+    "--variant",
+    type=click.Choice([str(v) for v in Variant]),
+    default="original",
+    show_default=True,
+    help="Instruction variant to compare.",
+)
+@json_option
+def compare(first: Path, second: Path, variant: str, as_json: bool) -> int:
+    """Compare two policies on the episodes that both have run.
+
+    A and B are folders OUT/policies/NAME of `factory eval -o OUT`, e.g. OUT/policies/bc:bc, or OUT if it contains one
+    policy.
+    """
+    from factory.eval.results import compare as comparison
+    from factory.eval.results.store import read_policy_folder
+    from factory.eval.results.text import print_comparison
+    from factory.support.terminal import print_result
+
+    (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
+    print_result(comparison.compare(ones, others, Variant(variant)), as_json, print_comparison)
+    return 0

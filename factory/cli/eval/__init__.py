@@ -1,1 +1,0 @@
-"""Commands `eval`, `eval compare`, `eval specs`."""

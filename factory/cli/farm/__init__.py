@@ -1,1 +1,0 @@
-"""Commands for many hosts: `coordinator`, `worker`, `gateway`, `gather`, `submit`, `keys`."""

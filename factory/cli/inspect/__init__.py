@@ -1,2 +1,0 @@
-"""Commands that inspect and maintain datasets: `status`, `jobs`, `verify`, `repair`, `pack`, `replay`, `stats`,
-`report`, `show`, `serve`, `view`."""

@@ -1,0 +1,141 @@
+"""`factory plan`: shows the episodes of a plan, and finds the nearest plan that its scenes support."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from factory.cli.groups import CommandGroup
+from factory.cli.options import json_option, plan_argument, shrink_options
+from schemas.errors import InvalidPlan, WorldError
+
+if TYPE_CHECKING:
+    from factory.runs.plan_changes import PlanChanges
+    from schemas.plan import Plan
+
+
+@click.group("plan", cls=CommandGroup)
+def command() -> None:
+    """Show a plan's episode counts; find the nearest feasible plan."""
+
+
+@command.command("show")
+@plan_argument(default="demo")
+@shrink_options
+@json_option
+def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
+    """Show a plan's quotas, categories, templates and ambiguity.
+
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Files named in the
+    plan must exist. Categories, templates, ambiguity and the share of far starts around a corner are shown only if
+    all scenes are built and support the plan. For a plan with layouts, only the categories of the layouts are shown,
+    except with balance = "instances".
+    """
+    from coordinator.expansion.balance import planned_categories
+    from coordinator.expansion.plan_file import load_plan
+    from coordinator.expansion.possible import find_impossible
+    from coordinator.expansion.sentences import find_missing_instructions
+    from coordinator.expansion.summary import summarise
+    from factory.runs import plan_text
+    from factory.runs.catalog import find_built, require_files
+    from factory.runs.start import shrunk_plan, warn_of_empty_splits
+    from factory.support.settings import scene_cache
+    from factory.support.terminal import print_json, print_text, stderr
+
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    require_files(plan)
+    catalog, fixed = find_built(plan, scene_cache()), _without_families(plan)
+    has_families = len(fixed.scenes) < len(plan.scenes)
+    unknown = [scene.name for scene in fixed.scenes if scene.name not in catalog]
+    mistakes = None if unknown else find_impossible(fixed, catalog)
+    content = summarise(plan, catalog) if mistakes == [] and not has_families else None
+    in_layouts = dict(planned_categories(plan).most_common())
+    mistakes = find_missing_instructions(fixed, catalog) if mistakes == [] else mistakes
+    corners = {} if content is None else plan_text.corner_shares(plan, catalog)
+    if as_json:
+        quotas = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": plan_text.cell_rows(plan)}
+        drawn = None if content is None else plan_text.content_data(content) | {"far_corner_shares": corners}
+        checks = {"categories_in_layouts": in_layouts, "mistakes": mistakes, "not_built": unknown}
+        print_json(quotas | {"content": drawn} | checks)
+        return
+    plan_text.print_plan(plan)
+    if content is not None:
+        plan_text.print_content(plan, content)
+    if has_families:
+        plan_text.print_layout_categories(in_layouts)
+    if corners:
+        plan_text.print_corners(corners)
+    warn_of_empty_splits(plan)
+    for line in mistakes or ():
+        print_text(f"impossible: {line}")
+    nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
+    if mistakes and content is None:
+        print_text(f"find the nearest feasible plan with {nearest}")
+    elif unknown:
+        print_text(
+            f"note: the plan was not checked against its scenes, because these are not built: {', '.join(unknown)}; "
+            f"{nearest} builds them and checks the plan",
+            stderr,
+        )
+
+
+@command.command("nearest")
+@plan_argument(default="demo")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="TOML file to write the plan to. Default: no file.",
+)
+@shrink_options
+@json_option
+def nearest(plan_name: str, out: Path | None, changes: PlanChanges, as_json: bool) -> None:
+    """Find the nearest plan that the scenes support.
+
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Scenes that are not in
+    the cache are built or imported. Layouts are not checked: if a layout cannot fulfil the plan, the run uses the
+    layout of another seed.
+    """
+    from coordinator.expansion.nearest import find_nearest
+    from coordinator.expansion.plan_file import load_plan, plan_to_toml
+    from coordinator.expansion.possible import find_impossible
+    from factory.runs.catalog import collect_scenes
+    from factory.runs.plan_text import cell_rows, print_nearest
+    from factory.runs.start import shrunk_plan
+    from factory.support.settings import scene_cache
+    from factory.support.terminal import print_building, print_json, print_text
+
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    fixed = _without_families(plan)
+    with tempfile.TemporaryDirectory(prefix="plan-") as folder:
+        catalog = collect_scenes(fixed, Path(folder), scene_cache(), print_building)
+    mistakes, result = find_impossible(fixed, catalog), find_nearest(plan, catalog)
+    if result.plan is None:
+        raise InvalidPlan(f"the scenes of plan {plan.name!r} support neither it nor any similar plan", mistakes)
+    if out is not None:
+        _write(out, plan_to_toml(result.plan))
+    if as_json:
+        differences: dict[str, Any] = {"possible": not mistakes, "mistakes": mistakes, "changes": result.changes}
+        quotas = {"plan": result.plan.model_dump(mode="json"), "cells": cell_rows(result.plan)}
+        print_json(differences | {"moved": result.moved} | quotas | {"file": None if out is None else str(out)})
+        return
+    print_nearest(plan, result, mistakes)
+    if out is not None:
+        print_text(f"plan written to {out}; generate the dataset with: factory run {out} --out DIR")
+
+
+def _without_families(plan: Plan) -> Plan:
+    return plan.model_copy(update={"scenes": tuple(scene for scene in plan.scenes if scene.layouts is None)})
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise WorldError(f"cannot write {path} ({error.strerror}); choose another file with -o") from error

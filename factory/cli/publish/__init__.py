@@ -1,1 +1,0 @@
-"""Commands that convert, relabel and upload datasets: `export`, `relabel`, `push`."""

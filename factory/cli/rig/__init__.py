@@ -1,1 +1,0 @@
-"""Command `rig` and its subcommands."""

@@ -1,0 +1,197 @@
+"""`factory run`: generates a dataset with coordinator and workers on this machine; continues interrupted runs."""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import click
+
+from factory.cli.options import (
+    PLACE,
+    SHARD,
+    gate_option,
+    json_option,
+    ledger_option,
+    out_option,
+    plan_argument,
+    renderer_option,
+    run_http_options,
+    shrink_options,
+    verbose_option,
+    workers_option,
+)
+from schemas.errors import UsageError
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
+
+    from coordinator.service import Coordinator
+    from factory.dataset.site import Site
+    from factory.runs.gate_mode import GateMode
+    from factory.runs.local import LocalRun
+    from factory.runs.plan_changes import PlanChanges
+    from factory.web.http_options import HttpOptions
+    from schemas.dataset.run_shard import RunShard
+    from schemas.protocol.status import Progress
+    from schemas.storage.place import Place
+    from schemas.terms import RendererKind
+
+
+@click.command("run")
+@plan_argument(default=None)
+@out_option
+@workers_option("Number of simulation processes")
+@renderer_option
+@gate_option("auto")
+@click.option(
+    "--shard",
+    type=SHARD,
+    metavar="NUMBER/COUNT",
+    help="Generate one of COUNT parts of the run, without a network connection to the others; `factory gather` joins "
+    "them. No gate unless --gate requests it. Default: the shard that --out contains, or the whole run.",
+)
+@click.option(
+    "--scenes",
+    "packages",
+    type=PLACE,
+    metavar="DIR|URL",
+    help="Folder with the compiled package of every scene, e.g. `scenes` of a dataset. Default: the packages in --out, "
+    "or new ones.",
+)
+@click.option(
+    "--engine",
+    type=click.Choice(("local", "ray")),
+    default="local",
+    show_default=True,
+    help="Where the simulations run. local: this machine; ray: every node of a Ray cluster, on all CPUs of a node or "
+    "at most --workers of them.",
+)
+@click.option(
+    "--address", metavar="ADDRESS", help="Address of the Ray cluster. Default: RAY_ADDRESS, or a new local one."
+)
+@ledger_option
+@shrink_options
+@run_http_options
+@json_option
+@verbose_option
+def command(
+    plan_name: str | None,
+    site: Site,
+    workers: int | None,
+    renderer: RendererKind,
+    gate_mode: GateMode,
+    shard: RunShard | None,
+    packages: Place | None,
+    engine: str,
+    address: str | None,
+    ledger: str | None,
+    changes: PlanChanges,
+    pages: HttpOptions,
+    as_json: bool,
+    verbose: bool,
+) -> int:
+    """Generate a dataset from a plan, or continue an interrupted run.
+
+    PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: the plan of the dataset in
+    --out, or demo. After Ctrl-C, SIGTERM or a crash, the same command continues the run; finished episodes are
+    kept. Exits with 1 if episodes are missing at the end.
+    """
+    from factory.runs.gate import measure_gate
+    from factory.runs.local import LocalRun
+    from factory.runs.ray_engine import open_cluster
+    from factory.runs.shards import choose_shard, may_take_over
+    from factory.runs.start import begin, open_scenes, warn_of_empty_splits
+    from factory.support.logs import configure_logs
+    from factory.web.serving import run_pages
+    from workers.client.stopping import stop_on_signals
+    from workers.experts import require_expert
+
+    configure_logs(verbose)
+    _check_options(engine, address, renderer, pages)
+    plan, is_new = begin(plan_name, site, changes)
+    require_expert(plan.expert)
+    warn_of_empty_splits(plan)
+    shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
+    processes = workers or os.cpu_count() or 1
+    gate_mode = "skip" if not is_new or (shard is not None and gate_mode == "auto") else gate_mode
+    with ExitStack() as stack:
+        stop, _ = stack.enter_context(stop_on_signals())
+        catalog = open_scenes(
+            plan, site, gate_mode, processes=processes, stop=stop, packages=packages, builds_all=shard is not None
+        )
+        gate = measure_gate(plan, catalog, gate_mode, renderer=renderer, processes=processes, stop=stop)
+        if gate is None:
+            click.echo("interrupted during the gate; no result was kept", err=True)
+            return 130
+        cluster = stack.enter_context(open_cluster(address, workers, renderer)) if engine == "ray" else None
+        run = LocalRun(
+            plan=plan,
+            catalog=catalog,
+            root=site.state_dir,
+            workers=processes,
+            renderer=renderer,
+            verbose=verbose,
+            gate=gate,
+            store=site.store,
+            ledger_url=ledger,
+            shard=shard,
+            take_over=shard is not None and may_take_over(site, stop),
+            cluster=cluster,
+        )
+        progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, pages, ledger))
+    return _print_end(run, site, progress, as_json)
+
+
+def _check_options(engine: str, address: str | None, renderer: RendererKind, pages: HttpOptions) -> None:
+    from factory.runs.local import require_renderer
+    from factory.web.serving import check_run_evaluations
+    from schemas.support.extras import require_package
+
+    require_package("pybullet", "`factory run`")
+    if address is not None and engine != "ray":
+        raise UsageError(f"--address {address} needs --engine ray")
+    check_run_evaluations(pages)
+    if engine != "ray":  # with Ray, only the nodes of the cluster need a renderer
+        require_renderer(renderer)
+
+
+def _run(
+    run: LocalRun,
+    site: Site,
+    stop: threading.Event,
+    pages: Callable[[Coordinator], AbstractContextManager[object]],
+) -> Progress:
+    from coordinator.settings import CoordinatorSettings
+    from factory.runs.local import run_locally
+    from factory.runs.shards import ShardRecorder
+    from factory.runs.summary import RunBar
+
+    recorder = None if run.shard is None else ShardRecorder(site, run.shard, run.plan, run.catalog)
+    with RunBar(run.plan) as bar:
+
+        def on_progress(progress: Progress) -> None:
+            bar.show(progress)
+            if recorder is not None:
+                recorder.record(progress)
+
+        progress = run_locally(run, CoordinatorSettings(), stop, on_progress, pages)
+    if recorder is not None:
+        recorder.finish(progress)
+    return progress
+
+
+def _print_end(run: LocalRun, site: Site, progress: Progress, as_json: bool) -> int:
+    """Prints the result of the run and returns the exit code."""
+    from factory.runs.summary import print_missing, print_summary, summarise
+    from factory.support.terminal import print_result
+
+    if not progress.finished:
+        click.echo(f"interrupted; continue with: {run.command}", err=True)
+        return 130
+    print_result(summarise(site.place, progress), as_json, print_summary)
+    print_missing(site, progress)
+    return 1 if progress.missing else 0

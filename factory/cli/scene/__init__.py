@@ -1,1 +1,0 @@
-"""Command `scene` and its subcommands."""

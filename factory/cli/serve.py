@@ -1,0 +1,74 @@
+"""`factory serve`: serves the web page of a dataset and its run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from factory.cli.options import evaluations_option, ledger_option, site_argument, tls_option, verbose_option
+from schemas.errors import UsageError
+from schemas.storage.dataset_files import EPISODES, is_dataset
+from schemas.support.extras import require_package
+
+if TYPE_CHECKING:
+    from factory.dataset.site import Site
+
+_DEFAULT = "127.0.0.1:8080"
+
+
+@click.command("serve")
+@site_argument
+@click.option(
+    "--http",
+    metavar="HOST:PORT",
+    default=_DEFAULT,
+    show_default=True,
+    help="Address to serve on; port 0 selects a free port. An address that other machines can reach requires "
+    "--http-token or --tls.",
+)
+@click.option(
+    "--http-token",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="File whose first line is the token that every request requires. Default: a random token, "
+    "required only for requests that change something.",
+)
+@evaluations_option
+@tls_option
+@ledger_option
+@verbose_option
+def command(
+    site: Site,
+    http: str,
+    http_token: Path | None,
+    evaluations: tuple[Path, ...],
+    tls: Path | None,
+    ledger: str | None,
+    verbose: bool,
+) -> None:
+    """Serve the web page of a dataset and its run.
+
+    Ends with Ctrl-C. Shows progress, workers, failures, episodes, scenes and statistics of a running or finished
+    dataset. The printed URL contains the token, with which flags, notes and jobs can be changed.
+    """
+    from factory.support.logs import configure_logs
+    from factory.web.serving import read_token
+    from workers.client.stopping import stop_on_signals
+
+    configure_logs(verbose)
+    for package in ("starlette", "uvicorn", "sqlalchemy"):
+        require_package(package, "`factory serve`")
+    if not (is_dataset(site.state_dir) or (site.place / EPISODES).is_dir()):
+        raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
+    from factory.eval.results.store import read_manifest
+    from factory.web.start import serve  # needs an extra
+
+    for folder in evaluations:
+        read_manifest(folder)  # raises its errors before the server starts
+    token = read_token(http_token) if http_token is not None else None
+    served = serve(site, http, token, tls=tls, ledger=ledger, evaluations=evaluations, renders_ahead=True)
+    with served as url, stop_on_signals() as (stop, _):
+        click.echo(f"web page of {site}: {url}")
+        stop.wait()

@@ -1,1 +1,0 @@
-"""Execution of the commands for many hosts."""

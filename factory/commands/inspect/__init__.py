@@ -1,1 +1,0 @@
-"""Execution of the commands that read a dataset or a run."""

@@ -1,1 +1,0 @@
-"""Execution of `run`, `render`, `plan` and `gate`."""

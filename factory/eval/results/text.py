@@ -1,0 +1,109 @@
+"""Prints an evaluation, or a comparison of two policies, as tables on stdout. Computes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import click
+
+from factory.eval.results.compare import PairedComparison
+from factory.eval.results.estimate import IntervalEstimate
+from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
+from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
+from factory.stats.statistics import Share
+from factory.support.terminal import print_table, print_text
+
+_HEAD = ("n", "SR %", "any %", "SPL", "soft-SPL", "NE m", "OP", "coll. %", "timeout %", "fault %")
+_ALWAYS = {"split", "view"}
+
+
+def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
+    """Prints the measures of all policies, overall, by group, and with other instructions.
+
+    Args:
+        evaluation: the evaluation.
+        all_tables: also print tables by scene, tier, category and template.
+    """
+    print_text(
+        f"{evaluation.episodes} episodes: {evaluation.source}; "
+        f"success radius {evaluation.success_radius_m:g} m by {evaluation.success}"
+    )
+    rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
+    print_table("\nAll episodes", ("policy", *_HEAD), rows)
+    for by, title in GROUPS.items():
+        if all_tables or by in _ALWAYS:
+            _print_groups(evaluation.policies, by, title)
+    _print_ablations(evaluation.policies)
+    click.echo("")
+    for policy in evaluation.policies:
+        print_text(f"{policy.policy}: input: {policy.knows}; {describe_ends(policy)}")
+        for line in fault_lines(policy):
+            print_text(line)
+    for remark in evaluation.remarks:
+        print_text(f"note: {remark}")
+    print_text(
+        "rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP: progress at the closest point"
+    )
+
+
+def print_comparison(comparison: PairedComparison) -> None:
+    """Prints a paired comparison."""
+    one, other = comparison.first, comparison.second
+    print_text(f"{comparison.pairs} episodes run by both policies ({comparison.variant} instruction)")
+    rows = [(one, _share(comparison.first_success)), (other, _share(comparison.second_success))]
+    print_table("", ("policy", "SR %"), rows)
+    counts = f"both {comparison.both}, only {one} {comparison.only_first}, only {other} {comparison.only_second}"
+    print_text(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
+    body = [("success", _estimate(comparison.success_difference, 3))]
+    body += [(name, _estimate(value, 3)) for name, value in comparison.differences.items()]
+    print_table("", (f"{other} minus {one}", "mean, 95 % interval"), body)
+    if comparison.left_out:
+        print_text(f"not compared: {comparison.left_out} episodes run by one policy only")
+
+
+def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None:
+    rows = [(name, policy.policy, *_cells(group)) for name, policy, group in side_by_side(policies, by)]
+    if rows:
+        print_table(f"\n{title}", (by, "policy", *_HEAD), rows)
+
+
+def _print_ablations(policies: Sequence[PolicyScores]) -> None:
+    rows = list(ablation_rows(policies, _share, _estimate))
+    if rows:
+        head = ("policy", "instruction", "episodes", "n", "SR %", "SR difference to the original", "McNemar p")
+        print_table("\nInstruction ablation", head, rows)
+        for name in policies_without_instruction(policies):
+            print_text(f"{name}: does not use the instruction, difference 0 by construction")
+
+
+def _cells(score: Score) -> tuple[object, ...]:
+    return (
+        score.n,
+        _share(score.success),
+        _share(score.any_instance),
+        _estimate(score.spl),
+        _estimate(score.soft_spl),
+        _estimate(score.ne_m),
+        _estimate(score.progress_max),
+        _plain(score.collision),
+        _plain(score.timeout),
+        _plain(score.policy_failure),
+    )
+
+
+def _share(share: Share) -> str:
+    if share.share is None or share.low is None or share.high is None:
+        return "-"
+    return f"{100 * share.share:.1f} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+
+
+def _plain(share: Share) -> str:
+    return "-" if share.share is None else f"{100 * share.share:.1f}"
+
+
+def _estimate(value: IntervalEstimate, digits: int = 2) -> str:
+    if value.mean is None:
+        return "-"
+    if value.low is None or value.high is None:
+        return f"{value.mean:.{digits}f}"
+    return f"{value.mean:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
