@@ -78,10 +78,10 @@ class LeaseLimit:
         if (now - self._since).total_seconds() < self._limit_s:
             return 0
         with self._reading() as connection:
-            found = held_too_long(connection, now, self._limit_s)
-        if not found:
+            expired = held_too_long(connection, now, self._limit_s)
+        if not expired:
             return 0
-        ended = self._commit(lambda connection: [row for row in found if self._end(connection, row, now)])
+        ended = self._commit(lambda connection: [row for row in expired if self._end(connection, row, now)])
         if ended:
             _log_ended(ended)
         return len(ended)

@@ -292,9 +292,9 @@ def _keep_freed_memory() -> None:
     np.empty(_KEPT_FREE_BYTES, np.uint8)  # not mallopt, which ends glibc's automatic adjustment of the thresholds
 
 
-def _name_findings(found: tuple[str, ...], expected: tuple[str, ...]) -> list[str]:
-    missing = [name for name in expected if name not in set(found)]
-    surplus = [name for name in found if name not in set(expected)]
+def _name_findings(names: tuple[str, ...], expected: tuple[str, ...]) -> list[str]:
+    missing = [name for name in expected if name not in set(names)]
+    surplus = [name for name in names if name not in set(expected)]
     findings = [f"{len(missing)} members missing, first {missing[0]!r}"] if missing else []
     findings += [f"{len(surplus)} unexpected members, first {surplus[0]!r}"] if surplus else []
     return findings or ["members are not in their fixed order"]

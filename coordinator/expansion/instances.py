@@ -84,8 +84,8 @@ def _divide(plan: Plan, scene: ScenePlan, group: list[Target], wanted: Mapping[S
         if side not in order:
             order[-1] = side
     for place, side in enumerate(wanted):
-        found = order.index(side)
-        order[place], order[found] = order[found], order[place]
+        position = order.index(side)
+        order[place], order[position] = order[position], order[place]
     return {target.target_id: side for target, side in zip(group, order, strict=True)}
 
 

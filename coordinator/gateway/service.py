@@ -104,10 +104,10 @@ class Gateway(Closing):
 
         A full disk is not such a reason: workers must stay connected to deliver their bundles.
         """
-        found = [] if self._node.is_open else ["not listening to workers"]
+        findings = [] if self._node.is_open else ["not listening to workers"]
         if self._core.silence_s > _SILENCE_S:
-            found.append(f"the core has not answered for {self._core.silence_s:.0f} s")
-        return tuple(found)
+            findings.append(f"the core has not answered for {self._core.silence_s:.0f} s")
+        return tuple(findings)
 
     def snapshot(self) -> Snapshot:
         """Returns the metrics of the gateway; the metrics of the run are available from the core."""

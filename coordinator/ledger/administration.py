@@ -59,10 +59,10 @@ def _current(connection: Connection, indices: Sequence[int], states: Sequence[Jo
     current = select(*columns).where(jobs.c.superseded.is_(False)).order_by(jobs.c.idx)
     if not indices:
         return list(connection.execute(current.where(jobs.c.state.in_(states))).all())
-    found: list[Any] = []
+    rows: list[Any] = []
     for start in range(0, len(indices), _BATCH):
-        found += connection.execute(current.where(jobs.c.idx.in_(indices[start : start + _BATCH]))).all()
-    return found
+        rows += connection.execute(current.where(jobs.c.idx.in_(indices[start : start + _BATCH]))).all()
+    return rows
 
 
 def _move_all(
@@ -147,5 +147,5 @@ def _change(connection: Connection, request: AdminRequest, now: datetime) -> Adm
 
 
 def _read(connection: Connection, key: str) -> str:
-    found = _VALUE.first(connection, {"wanted": key})
-    return "" if found is None else str(found.value)
+    row = _VALUE.first(connection, {"wanted": key})
+    return "" if row is None else str(row.value)

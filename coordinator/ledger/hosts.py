@@ -232,8 +232,8 @@ def _make_room(connection: Connection, host: str, now: datetime) -> bool:
     """Removes silent sessions if necessary; returns whether another session of a host can be recorded."""
     before = now.timestamp() - _SILENT_S
     of_host, of_all = {"name": host}, dict[str, object]()
-    for parameters, found, most in ((of_host, _OF_HOST, SESSIONS_OF_HOST), (of_all, _OF_ALL, SESSIONS)):
-        row = found.first(connection, parameters)
+    for parameters, count_of, most in ((of_host, _OF_HOST, SESSIONS_OF_HOST), (of_all, _OF_ALL, SESSIONS)):
+        row = count_of.first(connection, parameters)
         if row is None or row.known < most:
             continue
         if row.oldest >= before:

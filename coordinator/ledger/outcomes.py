@@ -236,8 +236,8 @@ def _is_of_same_host(row: JobRow, sid: str) -> bool:
 
 def _was_reported(connection: Connection, report: Fail) -> bool:
     same = (attempts.c.job_id == report.lease.job_id, attempts.c.fence == report.lease.fence)
-    found = connection.execute(select(attempts.c.outcome).where(*same)).scalar()
-    return found == report.reason
+    outcome = connection.execute(select(attempts.c.outcome).where(*same)).scalar()
+    return outcome == report.reason
 
 
 def _record_task_failure(

@@ -171,8 +171,8 @@ def _mistakes(error: ValidationError) -> str:
     count = error.error_count()
     if count > 10 * _SHOWN_MISTAKES:
         return f"{count} mistakes"
-    found = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
-    lines = (f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
+    mistakes = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
+    lines = (f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in mistakes)
     return "; ".join(lines).replace("\n", "; ")
 
 

@@ -133,14 +133,14 @@ def require_joinable(shards: Sequence[tuple[Place, ShardState]], plan: Plan, *, 
 
 
 def _require_each_once(shards: Sequence[tuple[Place, ShardState]], count: int, *, partial: bool) -> None:
-    found: dict[int, Place] = {}
+    places: dict[int, Place] = {}
     for place, state in shards:
-        twin = found.setdefault(state.shard.number, place)
+        twin = places.setdefault(state.shard.number, place)
         if twin is not place:
             raise UsageError(f"{place} and {twin} are both shard {state.shard}: give one of them")
     if partial:
         return
-    missing = [f"{number}/{count}" for number in range(1, count + 1) if number not in found]
+    missing = [f"{number}/{count}" for number in range(1, count + 1) if number not in places]
     if missing:
         raise UsageError(
             f"{len(missing)} of {count} shards are missing: {_some(missing)}; give them too, or join the others with "
@@ -277,8 +277,8 @@ def _record(
     ends: Mapping[int, tuple[int, int]] = {one.index: (one.draw, one.attempt) for one in copied}
     with engine.begin() as connection:
         known = list(LedgerFailures(connection).rows(numbers[0], numbers[-1]))
-        told = failures_of(place, PlannedDraws(plan, catalog, connection))
-        record_failures(connection, plan, catalog, told, known, now, ends)
+        failures = failures_of(place, PlannedDraws(plan, catalog, connection))
+        record_failures(connection, plan, catalog, failures, known, now, ends)
         for one in copied:
             trouble = record_whole(connection, plan, catalog, one, now, ends[one.index])
             # the files were classified with this ledger, and the lock excludes other writers

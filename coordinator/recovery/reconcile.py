@@ -124,11 +124,11 @@ def _validate_all(
         classifier = StrayClassifier(
             PlannedDraws(terms.plan, terms.catalog, ledger), cast(EpisodeValidator, checker), ledger, validated
         )
-        found = {
+        verdicts = {
             index: classifier.classify(path, index, replaces=index in difference.changed)
             for index, path in unsure.items()
         }
-    return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
+    return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in verdicts.items()}
 
 
 def _validate_result(
@@ -153,8 +153,8 @@ def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Ve
     Raises:
         UsageError: all files belong to another run, which the message names.
     """
-    strange = [found for found in verdicts.values() if isinstance(found, ForeignEpisode)]
-    if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
+    strange = [verdict for verdict in verdicts.values() if isinstance(verdict, ForeignEpisode)]
+    if strange and not owned and all(isinstance(verdict, str) for verdict in verdicts.values()):
         raise UsageError(
             f"{archive.root} has {len(strange)} episodes, and none belongs to run {terms.plan.run}; the first is "
             f"{strange[0]}: give the plan of the dataset, or choose another --out"
@@ -171,12 +171,12 @@ def _settle(
     changed: Mapping[int, str],
     result: Reconciled,
 ) -> None:
-    whole = {index: found[0] for index, found in verdicts.items() if not isinstance(found, str)}
-    episodes_found = {index: found for index, found in whole.items() if isinstance(found, EpisodeSummary)}
+    whole = {index: verdict[0] for index, verdict in verdicts.items() if not isinstance(verdict, str)}
+    episodes_found = {index: verdict for index, verdict in whole.items() if isinstance(verdict, EpisodeSummary)}
     if terms.evaluation is None:
         restore_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
-    for index, found in verdicts.items():
-        refusal = found if isinstance(found, str) else _adopt(engine, terms, *found, now)
+    for index, verdict in verdicts.items():
+        refusal = verdict if isinstance(verdict, str) else _adopt(engine, terms, *verdict, now)
         if not refusal:
             result.adopted.append(index)
             continue

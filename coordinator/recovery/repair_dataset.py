@@ -249,30 +249,30 @@ def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool
 
 
 def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
-    found: dict[str, str] = {}
+    findings: dict[str, str] = {}
     digests = read_column(root / METADATA_FILE, "content_digest")
     if isinstance(digests, str):
-        found[METADATA_FILE] = digests
+        findings[METADATA_FILE] = digests
     elif ledger is not None:
         owned = read_content_digests(ledger)
         if owned != digests:
-            found[METADATA_FILE] = f"its {len(digests)} rows differ from the {len(owned)} episodes of the ledger"
+            findings[METADATA_FILE] = f"its {len(digests)} rows differ from the {len(owned)} episodes of the ledger"
     reasons = read_column(root / ATTEMPTS_FILE, "reason")
     if isinstance(reasons, str):
-        found[ATTEMPTS_FILE] = reasons
+        findings[ATTEMPTS_FILE] = reasons
     elif ledger is not None:
         failed = count_failures(ledger)
         if failed != len(reasons):
-            found[ATTEMPTS_FILE] = f"it has {len(reasons)} rows, the ledger has {failed} failed attempts"
+            findings[ATTEMPTS_FILE] = f"it has {len(reasons)} rows, the ledger has {failed} failed attempts"
     try:
         read_dataset_meta(root)
     except WorldError as error:
-        found[META_FILE] = str(error)
+        findings[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
-        found[CARD_FILE] = "is missing"
+        findings[CARD_FILE] = "is missing"
     with suppress(ArchiveCorrupt):  # the unreadable `metadata.parquet` is reported above
-        found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
-    return found
+        findings |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
+    return findings
 
 
 def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:

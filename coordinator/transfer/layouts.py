@@ -167,9 +167,9 @@ def unpacked(bundle: Path) -> Iterator[Path]:
 
 def layout_faults(plan: Plan, layout: str, entry: SceneEntry) -> Iterator[str]:
     """Yields the reasons why a package cannot be the layout of a plan, one line each."""
-    found = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
-    if not found and plan.language is not None:
+    findings = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
+    if not findings and plan.language is not None:
         from coordinator.expansion.sentences import find_missing_instructions  # loads the grammars
 
-        found = find_missing_instructions(plan, {layout: entry})
-    yield from found
+        findings = find_missing_instructions(plan, {layout: entry})
+    yield from findings

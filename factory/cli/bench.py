@@ -107,7 +107,7 @@ def rollout(
     from factory.runs.catalog import open_catalog
     from factory.support.settings import scene_cache
     from factory.support.terminal import print_result
-    from workers.sim.context import SceneRenderer
+    from workers.sim.context import SimulationContext
 
     plan = shrink(narrow(load_plan(plan_name), scenes or (), episodes), record=Recording(record) if record else None)
     machine, recorder = describe_machine(), StageRecorder()
@@ -115,7 +115,7 @@ def rollout(
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(renderer, recorder) as stage:
+            with SimulationContext(renderer, recorder) as stage:
                 jobs = first_attempts(plan, catalog, name)
                 plain_frames = frames if against else 0
                 results[name] = bench_rollout(jobs, entry, stage, recorder, repeats, plain_frames, tell)
@@ -295,7 +295,7 @@ def _simulate_sample(root: Path, plan: Plan, folder: Path) -> None:
     from factory.bench.workload import make_sample
     from factory.runs.catalog import open_catalog
     from factory.support.settings import scene_cache
-    from workers.sim.context import SceneRenderer
+    from workers.sim.context import SimulationContext
 
-    with progress_bar("sample", plan.episodes) as tell, SceneRenderer() as stage:
+    with progress_bar("sample", plan.episodes) as tell, SimulationContext() as stage:
         make_sample(root, plan, open_catalog(plan, folder, scene_cache()), stage, tell)

@@ -141,19 +141,19 @@ def collect_scenes(
             f"copy the packages that `factory scene build` or `factory scene import` prints, with the folder {TEXTURES}"
         )
     require_files(plan, held)
-    found: dict[str, Path] = {}
+    collected: dict[str, Path] = {}
     missing: list[str] = []
     parts = [part for part in plan.parts if only is None or part.name in held or part.name in only]
     for part in parts:
         if part.name in held:
-            found[part.name] = package_file(held[part.name])
+            collected[part.name] = package_file(held[part.name])
         elif isinstance(part, LayoutPlan):
             missing.append(part.name)
         else:
-            found[part.name] = _make(part, cache, partial(tell, part.name))
+            collected[part.name] = _make(part, cache, partial(tell, part.name))
     builds = builds or LayoutBuilds()
-    found |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
-    catalog = {part.name: read_entry(found[part.name]) for part in parts}
+    collected |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
+    catalog = {part.name: read_entry(collected[part.name]) for part in parts}
     _require_textures(catalog)
     return with_light(plan, catalog)
 
@@ -204,8 +204,8 @@ def find_built(plan: Plan, cache: Path) -> Catalog:
 
     Layouts of families are omitted, because only a build finds their seeds.
     """
-    found = {part.name: _find(part, cache) for part in plan.parts}
-    return {name: read_entry(path) for name, path in found.items() if path is not None}
+    packages = {part.name: _find(part, cache) for part in plan.parts}
+    return {name: read_entry(path) for name, path in packages.items() if path is not None}
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:

@@ -108,12 +108,12 @@ def _fitting(meta: EpisodeMeta, info: SceneInfo, fits: int | None) -> frozenset[
 
 
 def _read_infos(root: Place, rows: Rows, opened: Set[str]) -> dict[str, SceneInfo]:
-    found = {}
+    infos = {}
     for name, sha256 in rows.meta.scenes.items():
         if name not in opened:
             continue
         try:
-            found[sha256] = read_info(find_package_file(root, name, sha256))
+            infos[sha256] = read_info(find_package_file(root, name, sha256))
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
             rows.add_damage(SCENES, f"the episodes of {name} are skipped: {format_error(error, root)}")
-    return found
+    return infos

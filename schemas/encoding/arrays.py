@@ -75,12 +75,12 @@ class ArraySpec:
         """
         if not (np.isfinite(least).all() and np.isfinite(most).all()):
             return [f"{self.name}: contains NaN or infinity"]
-        found = []
+        findings = []
         if self.low is not None and np.less(least, self.low).any():
-            found.append(f"{self.name}: minimum {np.min(least)} is below {self.low} {self.unit}")
+            findings.append(f"{self.name}: minimum {np.min(least)} is below {self.low} {self.unit}")
         if self.high is not None and np.greater(most, self.high).any():
-            found.append(f"{self.name}: maximum {np.max(most)} is above {self.high} {self.unit}")
-        return found
+            findings.append(f"{self.name}: maximum {np.max(most)} is above {self.high} {self.unit}")
+        return findings
 
     def _show_shape(self, length: int | None) -> str:
         return "(" + ", ".join(str(side if side is not None else length or "T") for side in self.shape) + ")"

@@ -113,11 +113,11 @@ class Composer:
         """
         if scene.distractors(number) < self.spec.least_others:
             return []
-        found: dict[str, Instruction] = {}
+        instructions: dict[str, Instruction] = {}
         seen = None if view is None else ViewFacts(scene.facts, view)
         options: dict[tuple[str, frozenset[Family]], _Options] = {}
         for turn in range(_TRIES + self.spec.per_episode):
-            if len(found) == self.spec.per_episode:
+            if len(instructions) == self.spec.per_episode:
                 break
             code, families = draw_weighted(self.spec.languages, rng), self._drawn_families(turn, rng)
             if (code, families) not in options:
@@ -127,16 +127,16 @@ class Composer:
                 break
             one = self._one(scene, view, number, held_out, code, options[code, families], rng)
             if one is not None:
-                found.setdefault(one.text, one)
+                instructions.setdefault(one.text, one)
         if rng.random() < self.spec.false_premises:
             wrong = self.write_false_premise(scene, view, number, held_out, rng)
-            found |= {} if wrong is None else {wrong.text: wrong}
-        return list(found.values())
+            instructions |= {} if wrong is None else {wrong.text: wrong}
+        return list(instructions.values())
 
     def _is_hopeless(self, code: str, options: Mapping[tuple[str, frozenset[Family]], _Options]) -> bool:
         """Returns whether a search with all features has found nothing in a language."""
-        found = options.get((code, self.spec.families))
-        return found is not None and not found.groups
+        option = options.get((code, self.spec.families))
+        return option is not None and not option.groups
 
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator
@@ -241,16 +241,16 @@ class Composer:
         """Returns groups of expressions that may fit no object of the scene. The first group names the categories that
         the scene lacks. The other groups name the category of object `number` with each colour, and next to each other
         kind of object."""
-        own, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
+        target, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
         kinds = sorted({each.kind for each in scene.graph.objects if each.kind in nouns})
-        others = [kind for kind in kinds if kind != own.kind]
-        is_coloured = own.colour != UNKNOWN and scene.graph.kinds.of(own.kind).plain
+        others = [kind for kind in kinds if kind != target.kind]
+        is_coloured = target.colour != UNKNOWN and scene.graph.kinds.of(target.kind).plain
         beside = [Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind=k, definite=False),)) for k in others]
         families = self.spec.families
         return [
             [Expression(kind=kind) for kind in CATEGORIES if kind in nouns and kind not in kinds],
-            [Expression(kind=own.kind, colour=c) for c in COLOUR_NAMES if is_coloured and Family.COLOUR in families],
-            [Expression(kind=own.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
+            [Expression(kind=target.kind, colour=c) for c in COLOUR_NAMES if is_coloured and Family.COLOUR in families],
+            [Expression(kind=target.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
         ]
 
     def _mistake(self, rng: np.random.Generator) -> MistakeKind | None:

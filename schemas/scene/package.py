@@ -35,11 +35,11 @@ LIGHT_STEPS = ArraySpec("light_steps", (3, None, None), np.uint8, "1")
 def split_positions(positions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Returns `PLACES` and `PLACE_STEPS` of vertex positions (V, 3)."""
     rows = np.ascontiguousarray(positions).view(np.dtype((np.void, 12))).reshape(-1)
-    _, firsts, found = np.unique(rows, return_index=True, return_inverse=True)
+    _, firsts, places = np.unique(rows, return_index=True, return_inverse=True)
     order = np.argsort(firsts)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
-    place = rank[found]
+    place = rank[places]
     used = np.concatenate(([0], np.maximum.accumulate(place)[:-1] + 1)) if len(place) else place
     return positions[firsts[order]], (used - place).astype(np.uint32)
 
@@ -240,8 +240,8 @@ def _read_info(reader: ContainerReader) -> SceneInfo:
         raise InvalidBundle("scene refused", [f"{_INFO}: {item['msg']}" for item in error.errors()]) from error
     if info.format not in _READABLE or is_small != (info.format == LAYOUT_FORMAT):
         remedy = "create it again with `factory scene build` or `factory scene import`"
-        found = f"scene format {info.format}, this software reads {', '.join(map(str, _READABLE))}; {remedy}"
-        raise InvalidBundle("scene refused", [found])
+        problem = f"scene format {info.format}, this software reads {', '.join(map(str, _READABLE))}; {remedy}"
+        raise InvalidBundle("scene refused", [problem])
     return info
 
 

@@ -124,7 +124,10 @@ class Supervisor:
             WorldError: the worker failed, e.g. because simulations do not start.
         """
         host = self._host
-        host.link.serve(host.sid, lambda asked: host.spool.read(asked.job_id, asked.fence, *asked.chunk))
+        host.link.serve(
+            host.sid,
+            lambda stop_requested: host.spool.read(stop_requested.job_id, stop_requested.fence, *stop_requested.chunk),
+        )
         log.info("worker_started", run=host.run, sid=host.sid, cores=host.settings.cores, spooled=len(host.spool))
         threads = [*self._slots, self._heartbeat_thread]
         for thread in threads:
@@ -186,9 +189,9 @@ def _find_run(
         if time.monotonic() - started > settings.wait_s:
             where = ", ".join(settings.connect)
             refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
-            found = f" ({link.last_error})" if link.last_error else ""
+            problem = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
-                f"no coordinator answered at {where} within {settings.wait_s:g} s{found}{refused}: start one with "
+                f"no coordinator answered at {where} within {settings.wait_s:g} s{problem}{refused}: start one with "
                 "`factory coordinator start`, give its endpoint with --connect, or wait longer with --connect-timeout"
             )
         stop.wait(pause.fail())

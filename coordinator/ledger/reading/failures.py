@@ -88,5 +88,5 @@ def count_failures(connection: Connection) -> Mapping[str, int]:
 def place_in(detail: str) -> tuple[float, float] | None:
     """Returns the first location x, y in the description of a failure, metres."""
     # columns for x and y would change the formats of the ledger, of the messages and of `attempts.parquet`
-    found = _PLACE.search(detail)
-    return None if found is None else (float(found[1]), float(found[2]))
+    match = _PLACE.search(detail)
+    return None if match is None else (float(match[1]), float(match[2]))

@@ -210,7 +210,7 @@ def _measured(
     start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
-    has_goal, targets = not spec.is_false_premise, simulator.loaded.scene.info.targets
+    has_goal, targets = not spec.is_false_premise, simulator.loaded.compiled.info.targets
     is_at_any = is_success or (has_goal and measure.stops_at_any(track, targets, spec.category, rules))
     return EpisodeResult(
         **request_fields(task),

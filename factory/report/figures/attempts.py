@@ -61,7 +61,7 @@ def _outcomes(axes: Axes, rows: list[AttemptRow]) -> None:
 
 
 def _rates(axes: Axes, rows: list[AttemptRow], groups: tuple[AttemptRow, ...]) -> None:
-    told = False
+    is_labelled = False
     for place, row in enumerate(rows):
         if row.paper is not None and row.paper.rate is not None:
             low, high = row.paper.rate
@@ -72,9 +72,9 @@ def _rates(axes: Axes, rows: list[AttemptRow], groups: tuple[AttemptRow, ...]) -
                 100 * low,
                 color=colour("paper"),
                 alpha=0.25,
-                label=None if told else "paper",
+                label=None if is_labelled else "paper",
             )
-            told = True
+            is_labelled = True
         share = row.success
         if share.share is not None and share.low is not None and share.high is not None:
             axes.plot(

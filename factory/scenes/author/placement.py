@@ -226,9 +226,9 @@ class FloorPlan:
             along = float(self.rng.uniform(0.04, 0.96))
             if avoid and self.meets(model, *wall_pose(model, room, side, along, 0.03), 0.0):
                 continue
-            found = self.against(model, room, side, along, clearance)
-            if found:
-                return found
+            placed = self.against(model, room, side, along, clearance)
+            if placed:
+                return placed
         return None
 
     def hang(self, model: PropModel, room: Rectangle, side: str, along: float) -> PropPlacement | None:
@@ -281,9 +281,9 @@ class FloorPlan:
         """Places a model in the first of the four corners, in random order, that is free; `avoid` as for
         `against_somewhere`."""
         for corner in self.rng.permutation(4):
-            found = self.in_corner(model, room, int(corner), clearance, avoid)
-            if found:
-                return found
+            placed = self.in_corner(model, room, int(corner), clearance, avoid)
+            if placed:
+                return placed
         return None
 
     def top_up(self, name: str, minimum: int, areas: Sequence[Rectangle], sides: str = "EW") -> None:

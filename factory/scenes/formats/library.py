@@ -52,8 +52,8 @@ class Library:
     @property
     def folders(self) -> tuple[Path, ...]:
         """Folders in which `model://` and `package://` names are searched, in this order."""
-        own = self.files.root.parent
-        return (*self.files.scene.limits.models, own, own / "models")
+        root = self.files.root.parent
+        return (*self.files.scene.limits.models, root, root / "models")
 
     def find(self, uri: str, folder: Path) -> Path:
         """Returns the path of a URI, which may not exist; a relative path is also searched in `folders`, as in Gazebo.

@@ -282,10 +282,10 @@ def _read_scope(
 def _read_model(
     reader: _Reader, model: Element, path: Path, named: tuple[str, str | None], place: Floats, above: tuple[Path, ...]
 ) -> None:
-    own = reader.names.path(*named, "model")
+    model_path = reader.names.path(*named, "model")
     nested = sum(child.tag in _MODELS for child in model)
-    (reader.files.scene.groups if nested > 1 else reader.files.scene.models).add(own)
-    _read_scope(reader, model, path, own, place, above)
+    (reader.files.scene.groups if nested > 1 else reader.files.scene.models).add(model_path)
+    _read_scope(reader, model, path, model_path, place, above)
 
 
 def _read_include(
@@ -295,17 +295,17 @@ def _read_include(
     if reader.includes > _MOST_INCLUDES:
         raise WorldError(f"{reader.files.root.name} includes more than {_MOST_INCLUDES} models; split the world")
     uri = text_of(include, "uri")
-    found = reader.library.locate(uri, path.parent, parent)
-    if found is not None and found.is_dir():
-        folder, found = found, model_file(found, reader.files)
-        if found is None or not reader.files.is_usable(found, parent):
+    location = reader.library.locate(uri, path.parent, parent)
+    if location is not None and location.is_dir():
+        folder, location = location, model_file(location, reader.files)
+        if location is None or not reader.files.is_usable(location, parent):
             reader.files.add_fault("folders without an SDF file", folder, parent)
             return
-    if found is None:
+    if location is None:
         return
-    if found in above:
+    if location in above:
         raise ValueError(f"{uri} includes itself")
-    root = reader.parsed(found)
+    root = reader.parsed(location)
     model = root if root.tag == "model" else root.find("model")
     if model is None:
         raise ValueError(f"{uri} has no <model>")
@@ -313,17 +313,17 @@ def _read_include(
     if include.find("placement_frame") is not None:
         with_own = np.asarray(with_own @ np.linalg.inv(Frames(model).frame(text_of(include, "placement_frame"))))
     name = text_of(include, "name") or model.get("name")
-    _read_model(reader, model, found, (parent, name), with_own, (*above, found))
+    _read_model(reader, model, location, (parent, name), with_own, (*above, location))
 
 
 def _read_link(reader: _Reader, link: Element, path: Path, parent: str, poses: tuple[Frames, Floats, Floats]) -> None:
     frames, model, place = poses
-    own = reader.names.path(parent, link.get("name"), "link")
+    link_path = reader.names.path(parent, link.get("name"), "link")
     reader.counts[LIGHTS_NOTE] += len(link.findall("light"))
     base = np.asarray(np.linalg.inv(model) @ place)
     for kind in ("visual", "collision"):
         for shape in link.findall(kind):
-            shape_path = reader.names.path(own, shape.get("name"), kind)
+            shape_path = reader.names.path(link_path, shape.get("name"), kind)
             try:
                 to_world = np.asarray(model @ frames.pose_of(shape, base))
                 place_geometry(reader.library, shape, path, shape_path, to_world)

@@ -51,14 +51,14 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
     files.scene.reader_version = _READER_VERSION
     for link in sorted(robot.findall("link"), key=lambda link: order[str(link.get("name"))]):
         name = str(link.get("name"))
-        own = paths[name] = names.path(paths[parents.get(name, "")], link.get("name"), "link")
+        link_path = paths[name] = names.path(paths[parents.get(name, "")], link.get("name"), "link")
         if name not in parents:
-            files.scene.models.add(own)
+            files.scene.models.add(link_path)
             if name in carriers:
-                files.scene.articulated.add(own)
+                files.scene.articulated.add(link_path)
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
-                shape_path = names.path(own, shape.get("name"), kind)
+                shape_path = names.path(link_path, shape.get("name"), kind)
                 try:
                     surface = None if kind == "collision" else _surface(library, shape, materials, path, shape_path)
                     place = np.asarray(places[name] @ _origin(shape))
@@ -156,8 +156,12 @@ def _solid(kind: Element) -> Polygons | None:
 
 def _surface(library: Library, shape: Element, materials: dict[str, Element], path: Path, name: str) -> Surface | None:
     """Returns the material of a visual, or `None` if it has none."""
-    own = shape.find("material")
-    material = None if own is None else (own if len(own) else materials.get(str(own.get("name"))))
+    shape_material = shape.find("material")
+    material = (
+        None
+        if shape_material is None
+        else (shape_material if len(shape_material) else materials.get(str(shape_material.get("name"))))
+    )
     if material is None:
         return None
     rgba, texture = material.find("color"), material.find("texture")

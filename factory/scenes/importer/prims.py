@@ -138,9 +138,9 @@ def corner_values(prim: Any, mesh: ImportedMesh, name: str) -> Floats | None:
 def uv_values(prim: Any, mesh: ImportedMesh, uv_set: str) -> Floats | None:
     """Returns texture coordinates (T, 3, 2) from the named primvar, or else from the default primvars."""
     for name in (uv_set, *_UV_NAMES):
-        found = corner_values(prim, mesh, name)
-        if found is not None and found.shape[-1] >= 2:
-            return found[..., :2]
+        values = corner_values(prim, mesh, name)
+        if values is not None and values.shape[-1] >= 2:
+            return values[..., :2]
     return None
 
 

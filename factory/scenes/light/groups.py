@@ -188,15 +188,15 @@ def _glow(scene: CompiledScene, charts: Charts, cell: tuple[Ints, Ints], chart: 
 
 def _indirect(lamps: Lamps, members: list[Ints], is_strong: list[bool], points: Floats) -> Floats:
     """Returns (K, N) the share of each group in the indirect light at N points, estimated from power and distance."""
-    found = np.zeros((len(members), len(points)))
+    light = np.zeros((len(members), len(points)))
     for first in range(0, len(points), _CHUNK):
         run = slice(first, first + _CHUNK)
         for number in np.flatnonzero(is_strong):
             rows = members[number]
             gaps = points[run, None] - lamps.centre[rows]
             near = lamps.power[rows] / (np.einsum("nlk,nlk->nl", gaps, gaps) + 1.0) ** 1.5
-            found[number, run] = near.sum(axis=1)
-    return np.asarray(found / np.maximum(found.sum(axis=0), 1e-30))
+            light[number, run] = near.sum(axis=1)
+    return np.asarray(light / np.maximum(light.sum(axis=0), 1e-30))
 
 
 def _shares(sky: Floats, lamps: Floats, bounced: Floats, known: Bools) -> Floats:
@@ -225,9 +225,9 @@ def _light_lamps(shares: Floats, members: list[Ints], lamps: Lamps, charts: Char
     of_chart[emitting] = group[gaps.argmin(axis=1)]
     texel = np.where(owner >= 0, of_chart[owner], 0)
     for number in range(1, len(shares)):
-        own = texel == number
-        shares[:, own] = 0.0
-        shares[0, own], shares[number, own] = _OFF_SHARE, 1 - _OFF_SHARE
+        is_own = texel == number
+        shares[:, is_own] = 0.0
+        shares[0, is_own], shares[number, is_own] = _OFF_SHARE, 1 - _OFF_SHARE
 
 
 def _quantised(shares: Floats) -> NDArray[np.uint8]:

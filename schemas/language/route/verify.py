@@ -68,7 +68,7 @@ class RouteVerifier:
         for steps in readings:
             if len(steps) != len(spans):
                 return "the text has a different number of steps"
-            if any(step not in own for step, own in zip(steps, alone, strict=True)):
+            if any(step not in alternatives for step, alternatives in zip(steps, alone, strict=True)):
                 return "a step differs from its own sentence"
             for step, span in zip(steps, spans, strict=True):
                 fault = self._fault(step, replay, *span, target)
@@ -112,15 +112,15 @@ class RouteVerifier:
 
     def _crossed(self, replay: PoseReplay, start: int, end: int) -> list[int]:
         """Returns the frames at which the path goes through a doorway into another room, in which it stays."""
-        found, room = [], 0
+        crossed, room = [], 0
         for t in range(start, end):
             here = replay.room(t)
             if here and room and here != room and self._stays(replay, t, here, end):
                 if replay.passage_width(t) <= limit.DOORWAY_M.good:
-                    found.append(t)
+                    crossed.append(t)
                 room = here
             room = room or here
-        return found
+        return crossed
 
     def _stays(self, replay: PoseReplay, t: int, room: int, end: int) -> bool:
         driven = next((k for k in range(t, end) if replay.driven(t, k + 1) > 0.45), None)

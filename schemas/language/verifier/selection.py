@@ -54,11 +54,11 @@ def counted_ahead(
     """Returns the object at a position on one side of the way ahead; if it is uncertain, all candidates as `MAYBE`."""
     # for equal racks in rows, no other phrase fits only one of them
     boxes = {number: prints.seen_along((view.x, view.y), view.yaw, number, AHEAD_SIDES[side]) for number in truths}
-    found = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
-    sure = [boxes[number] for number, truth in found.items() if truth is Truth.YES]
+    ahead = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
+    sure = [boxes[number] for number, truth in ahead.items() if truth is Truth.YES]
     row = {
         number: truth
-        for number, truth in found.items()
+        for number, truth in ahead.items()
         if truth is not Truth.NO and (view.shown[number] or not any(_covers(other, boxes[number]) for other in sure))
     }
     order = sorted(row, key=lambda number: boxes[number].middle)
