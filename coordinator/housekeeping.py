@@ -144,7 +144,7 @@ class Housekeeping:
         self._writer = run.ledger.writer
         self._watch = ClockWatch(run.clock, elapsed)
         self._limit = LeaseLimit(
-            run.ledger.reading, self._writer.call, run.terms, run.clock, run.settings.lease_limit_s
+            run.ledger.reading, self._writer.call, terms=run.terms, clock=run.clock, limit_s=run.settings.lease_limit_s
         )
         self._barred: frozenset[str] = frozenset()
         self._noted_sandbox: tuple[str, ...] = ()

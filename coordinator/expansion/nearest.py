@@ -53,7 +53,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> NearestPlan:
         if part is not None:
             kept.append(part)
         if part != scene:
-            changes.append(_change_message(plan, scene, part, catalog[scene.name], lost))
+            changes.append(_change_message(plan, scene, part=part, entry=catalog[scene.name], lost=lost))
     return NearestPlan(plan.model_copy(update={"scenes": tuple(kept)}) if kept else None, tuple(changes), moved)
 
 

@@ -165,7 +165,7 @@ def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_mi
 def _pack(archive: Archive, engine: Engine, plan: Plan, size: int) -> None:
     # gateways do not pack, because only the ledger knows the ranges whose jobs can no longer change
     with engine.connect() as connection:
-        pack_settled(archive, connection, plan, not has_open_jobs(connection), size)
+        pack_settled(archive, connection, plan=plan, is_over=not has_open_jobs(connection), size=size)
 
 
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:

@@ -38,7 +38,7 @@ def retry(connection: Connection, indices: Sequence[int], now: datetime) -> Admi
         now: time of the request.
     """
     wanted = _current(connection, indices, (JobState.FAILED,))
-    return _move_all(connection, _RETRY, indices, wanted, now)
+    return _move_all(connection, _RETRY, named=indices, rows=wanted, now=now)
 
 
 def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
@@ -50,7 +50,7 @@ def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> Adm
         now: time of the request.
     """
     wanted = _current(connection, indices, sources(Event.CANCELLED))
-    return _move_all(connection, _CANCEL, indices, wanted, now)
+    return _move_all(connection, _CANCEL, named=indices, rows=wanted, now=now)
 
 
 def _current(connection: Connection, indices: Sequence[int], states: Sequence[JobState]) -> list[Any]:

@@ -103,7 +103,7 @@ def strike(connection: Connection, host: str, job: JobRow, reason: str, now: dat
     if row is None:
         fresh = {"host": host, "strikes": 0, "last_job": 0, "resumes_at": 0.0, "barred_at": None, "reason": ""}
         connection.execute(insert(hosts), fresh)
-    elif row.barred_at is not None or row.resumes_at > at or _is_of_job(connection, host, row, job, now):
+    elif row.barred_at is not None or row.resumes_at > at or _is_of_job(connection, host, row=row, job=job, now=now):
         return
     strikes = 1 + (row.strikes if row is not None else 0)
     values = {

@@ -117,7 +117,12 @@ def record_whole(
     if obstacle:
         return obstacle
     outcomes.lose(connection, receipt.index, now, "the dataset has a different intact file of the episode")
-    row = _take(connection, _advance_to_draw(connection, plan, catalog, receipt.index, draw, now), attempt, now)
+    row = _take(
+        connection,
+        _advance_to_draw(connection, plan, catalog=catalog, index=receipt.index, draw=draw, now=now),
+        attempt,
+        now,
+    )
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)
     return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger changed during the repair"
@@ -140,7 +145,7 @@ def adopt_package(
         build = _made(_FREE[JobState(build.state)], connection, build, {}, now)
     lease = lease_of(_take(connection, build, build.attempt, now))
     outcomes.announce(connection, Done(sid=REPAIRER, lease=lease, sha256=sha256, size=size), now, _LEASE_S)
-    if not outcomes.record_package(connection, lease, sha256, sha256, planned, now):
+    if not outcomes.record_package(connection, lease, announced=sha256, package=sha256, planned=planned, now=now):
         raise AssertionError("the ledger was changed by another writer")
 
 
@@ -175,7 +180,12 @@ def record_failures(
         if reported and row is not None:
             end = (row.draw, row.attempt) if row.state == JobState.ARCHIVED else whole.get(index)
             _record_failures_of_episode(
-                connection, plan, catalog, row, [one for one in reported if _is_before(one, end)], now
+                connection,
+                plan,
+                catalog=catalog,
+                row=row,
+                failures=[one for one in reported if _is_before(one, end)],
+                now=now,
             )
 
 
@@ -195,7 +205,7 @@ def _record_failures_of_episode(
 ) -> None:
     settled = list(_following(row, failures))
     if settled and row.state != JobState.ARCHIVED:
-        _catch_up(connection, plan, catalog, row.idx, settled, now)
+        _catch_up(connection, plan, catalog=catalog, index=row.idx, settled=settled, now=now)
     _insert_attempts(connection, row.idx, failures)
 
 
@@ -220,7 +230,7 @@ def _catch_up(
     misses = tried % plan.budget.attempts_per_draw  # a retry by an admin request grants the whole budget again
     is_used = misses == 0
     draw = last.draw + 1 if is_used and last.draw + 1 < plan.budget.draws else last.draw
-    row = _advance_to_draw(connection, plan, catalog, index, draw, now, last.attempt + 1)
+    row = _advance_to_draw(connection, plan, catalog=catalog, index=index, draw=draw, now=now, attempt=last.attempt + 1)
     row = _take(connection, row, last.attempt + 1, now)
     if is_used and draw == last.draw:
         _exhaust(connection, row, now, has_successor=False)

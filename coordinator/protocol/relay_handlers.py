@@ -134,7 +134,7 @@ def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: d
     if row.state == JobState.SUBMITTED and row.sha256 == summary.file_sha256:
         return outcomes.adopt(connection, row.id, summary, now)
     at = (summary.draw, summary.attempt)
-    return record_whole(connection, terms.plan, terms.catalog, summary, now, at) == ""
+    return record_whole(connection, terms.plan, catalog=terms.catalog, receipt=summary, now=now, at=at) == ""
 
 
 def _refused(connection: Connection, refusal: Refused, gateway: str, terms: Terms, now: datetime) -> Model:

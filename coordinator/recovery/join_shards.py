@@ -186,17 +186,19 @@ def join_shards(
         archive = stack.enter_context(open_archive(target.state_dir, store))
         engine = open_writer(target.url)
         stack.callback(engine.dispose)
-        open_run(engine, target.plan, target.catalog, CoordinatorSettings().lease_ttl_s, now)
+        open_run(engine, target.plan, catalog=target.catalog, lease_ttl_s=CoordinatorSettings().lease_ttl_s, now=now)
         for name, entry in target.catalog.items():
             archive.add_scene(entry.path, name, entry.sha256, entry.textures)
         for done, (place, state) in enumerate(sorted(shards, key=lambda one: one[1].shard.number), 1):
             numbers = state.shard.numbers(target.plan.episodes)
-            copied, refused = _copy_episodes(archive, engine, target, place, numbers, checker)
+            copied, refused = _copy_episodes(
+                archive, engine, target=target, place=place, numbers=numbers, checker=checker
+            )
             _record(engine, target, place, numbers, copied, now)
             if state.finished:
                 kept = list_episodes(place).episodes.keys() | validated_files(place, target.plan).keys()
                 with engine.begin() as connection:
-                    end_unfinished_jobs(connection, numbers, kept, str(state.shard), now)
+                    end_unfinished_jobs(connection, numbers, kept=kept, shard=str(state.shard), now=now)
             gathered += len(copied)
             rejected += refused
             on_progress(done, len(shards))
@@ -278,8 +280,8 @@ def _record(
     with engine.begin() as connection:
         known = list(LedgerFailures(connection).rows(numbers[0], numbers[-1]))
         failures = failures_of(place, PlannedDraws(plan, catalog, connection))
-        record_failures(connection, plan, catalog, failures, known, now, ends)
+        record_failures(connection, plan, catalog=catalog, failures=failures, known=known, now=now, whole=ends)
         for one in copied:
-            trouble = record_whole(connection, plan, catalog, one, now, ends[one.index])
+            trouble = record_whole(connection, plan, catalog=catalog, receipt=one, now=now, at=ends[one.index])
             # the files were classified with this ledger, and the lock excludes other writers
             assert not trouble, trouble

@@ -79,12 +79,12 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
     difference = diff_archive({index: ListedFile(path.stat().st_size) for index, path in present.items()}, recorded)
     unsure = {index: present[index] for index in difference.strays}
     # if no validator can be started, the start ends: quarantine would discard intact episodes when memory is short
-    verdicts = _validate_all(archive, engine, terms, checker, unsure, difference)
+    verdicts = _validate_all(archive, engine, terms=terms, checker=checker, unsure=unsure, difference=difference)
     _require_own_plan(archive, terms, verdicts, len(recorded))
     result.quarantined += [archive.quarantine(path, "its name is not that of an episode") for path in archive.foreign()]
     with engine.begin() as connection:
         for index in difference.missing:
-            _requeue(connection, index, now, GONE, result)
+            _requeue(connection, index, now=now, reason=GONE, result=result)
         for index in difference.elsewhere:
             record_at_core(connection, index)  # `factory gather` was interrupted after it copied the file
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
@@ -119,7 +119,10 @@ def _validate_all(
         return {}
     with engine.connect() as ledger:
         if terms.evaluation is not None:
-            return {index: _validate_result(ledger, index, path, terms, checker) for index, path in unsure.items()}
+            return {
+                index: _validate_result(ledger, index, path=path, terms=terms, checker=checker)
+                for index, path in unsure.items()
+            }
         validated = validated_files(archive.root, terms.plan)
         classifier = StrayClassifier(
             PlannedDraws(terms.plan, terms.catalog, ledger), cast(EpisodeValidator, checker), ledger, validated
@@ -174,7 +177,7 @@ def _settle(
     whole = {index: verdict[0] for index, verdict in verdicts.items() if not isinstance(verdict, str)}
     episodes_found = {index: verdict for index, verdict in whole.items() if isinstance(verdict, EpisodeSummary)}
     if terms.evaluation is None:
-        restore_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
+        restore_failures(engine, archive.root, plan=terms.plan, catalog=terms.catalog, now=now, whole=episodes_found)
     for index, verdict in verdicts.items():
         refusal = verdict if isinstance(verdict, str) else _adopt(engine, terms, *verdict, now)
         if not refusal:
@@ -185,12 +188,14 @@ def _settle(
         result.quarantined.append(archive.quarantine(unsure[index], refusal))
         if index in changed:
             with engine.begin() as connection:
-                _requeue(connection, index, now, refusal, result)
+                _requeue(connection, index, now=now, reason=refusal, result=result)
 
 
 def _adopt(engine: Engine, terms: Terms, receipt: BundleReceipt, at: tuple[int, int], now: datetime) -> str:
     with engine.begin() as connection:
-        refusal = record_whole(connection, terms.plan, terms.catalog, receipt, now, at, replaces=True)
+        refusal = record_whole(
+            connection, terms.plan, catalog=terms.catalog, receipt=receipt, now=now, at=at, replaces=True
+        )
         if refusal:
             connection.rollback()
     return refusal

@@ -163,11 +163,18 @@ def repair(
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
         trouble = dataset.foreign_ledger or ledger_trouble(dataset.url, dataset.catalog)
         with _reading(dataset.url, trouble) as ledger:
-            survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, on_progress)
+            survey = survey_archive(
+                dataset.root,
+                dataset.plan,
+                catalog=dataset.catalog,
+                ledger=ledger,
+                checker=checker,
+                on_progress=on_progress,
+            )
             actions += [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
             actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:
-            _apply_actions(dataset, archive, survey, trouble, now)
+            _apply_actions(dataset, archive, survey=survey, trouble=trouble, now=now)
         return RepairReport(
             dataset=str(dataset.root),
             run=dataset.plan.run,
@@ -295,13 +302,25 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
         quarantine_ledger(archive, dataset.url, trouble)
     engine = open_writer(dataset.url)
     try:
-        open_run(engine, dataset.plan, dataset.catalog, _lease_ttl_of(engine), now, shard=dataset.shard)
+        open_run(
+            engine,
+            dataset.plan,
+            catalog=dataset.catalog,
+            lease_ttl_s=_lease_ttl_of(engine),
+            now=now,
+            shard=dataset.shard,
+        )
         with engine.begin() as connection:
             for index, why in survey.requeue:
                 lose(connection, index, now, why)
         whole = [*survey.adopt, *(summary for _, summary in survey.restore)]
         restore_failures(
-            engine, dataset.root, dataset.plan, dataset.catalog, now, {summary.index: summary for summary in whole}
+            engine,
+            dataset.root,
+            plan=dataset.plan,
+            catalog=dataset.catalog,
+            now=now,
+            whole={summary.index: summary for summary in whole},
         )
         for summary in whole:
             _adopt(engine, dataset, archive, summary, now)
@@ -321,7 +340,9 @@ def _set_aside_damaged(archive: Archive, place: Place, sha256: str, why: str) ->
 def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
     with engine.begin() as connection:
         at = (summary.draw, summary.attempt)
-        refusal = record_whole(connection, dataset.plan, dataset.catalog, summary, now, at, replaces=True)
+        refusal = record_whole(
+            connection, dataset.plan, catalog=dataset.catalog, receipt=summary, now=now, at=at, replaces=True
+        )
         if refusal:
             connection.rollback()
     if refusal:

@@ -83,7 +83,7 @@ def restore_failures(
         known = list(read_failures(connection))
         failures = list(failures_of(root, PlannedDraws(plan, catalog, connection)))
         ends = {index: (summary.draw, summary.attempt) for index, summary in whole.items()}
-        record_failures(connection, plan, catalog, failures, known, now, ends)
+        record_failures(connection, plan, catalog=catalog, failures=failures, known=known, now=now, whole=ends)
 
 
 def _failed_attempts(root: Place) -> int:
@@ -273,7 +273,14 @@ def survey_archive(
     difference = diff_archive(_read_files(files, recorded, on_progress), recorded)
     result.whole = len(difference.same) + len(difference.elsewhere)
     for done, index in enumerate(difference.strays, result.whole + 1):
-        _classify(files[index], index, difference.changed.get(index), classifier, result, recorded.get(index))
+        _classify(
+            files[index],
+            index,
+            change=difference.changed.get(index),
+            classifier=classifier,
+            result=result,
+            record=recorded.get(index),
+        )
         on_progress(done, len(files))
     missing = set(difference.missing)
     present = {summary.index for summary in result.adopt} | (recorded.keys() - missing)

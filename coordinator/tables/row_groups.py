@@ -101,7 +101,9 @@ class RowGroupWriter(Closing):
         )
 
     def _append(self, data: bytes, rows: int, description: bytes) -> RowGroup:
-        group = RowGroup(self._end, len(data), xxhash.xxh3_64_intdigest(data), rows, description)
+        group = RowGroup(
+            self._end, len(data), digest=xxhash.xxh3_64_intdigest(data), rows=rows, description=description
+        )
         self._end += self._file.write(data)
         self._groups.append(group)
         return group

@@ -105,7 +105,12 @@ class LayoutStore:
         self.catalog[layout] = entry
         if self.writer.call(
             lambda connection: outcomes.record_package(
-                connection, bundle.lease, bundle.sha256, entry.sha256, planned, self.clock()
+                connection,
+                bundle.lease,
+                announced=bundle.sha256,
+                package=entry.sha256,
+                planned=planned,
+                now=self.clock(),
             )
         ):
             self._remove_others(layout, entry)

@@ -61,7 +61,11 @@ def _mistake_fault(instruction: Instruction, spec: LanguageSpec, reader: Reader)
     if instruction.mistake is None or not spec.mistakes.get(instruction.mistake):
         return "its error is not planned"
     return mistake_fault(
-        instruction.text, instruction.clean, instruction.mistake, instruction.language, reader.vocabulary
+        instruction.text,
+        instruction.clean,
+        kind=instruction.mistake,
+        code=instruction.language,
+        vocabulary=reader.vocabulary,
     )
 
 

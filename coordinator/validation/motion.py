@@ -107,7 +107,7 @@ def _drive_of(arrays: EpisodeArrays, control_hz: int, touched: bool) -> _Drive:
     along = dx * np.cos(heading) + dy * np.sin(heading)
     aside = dy * np.cos(heading) - dx * np.sin(heading)
     bend = _recent_maximum(v * np.abs(w), SKID_STEPS)[:-1]
-    return _Drive(v, w, along, aside, turned, bend, control_hz, touched)
+    return _Drive(v, w, along=along, aside=aside, turned=turned, bend=bend, hz=control_hz, touched=touched)
 
 
 def _command_findings(drive: _Drive, robot: RobotConfig) -> list[str]:

@@ -49,7 +49,9 @@ def start_findings(
     towards = math.atan2(meta.target_centroid_m[1] - y, meta.target_centroid_m[0] - x)
     off = abs(math.remainder(towards - float(yaw_of(arrays.poses[:1])[0]), 2 * math.pi))
     least_off = max(0.0, off - BEARING_SLACK_RAD)
-    findings = start_view_findings(view, target, least_off, ids, depth, job.camera, job.gains.min_mask_px)
+    findings = start_view_findings(
+        view, target, bearing_rad=least_off, ids=ids, depth=depth, camera=job.camera, min_pixels=job.gains.min_mask_px
+    )
     return [f"start: {finding}" for finding in findings]
 
 

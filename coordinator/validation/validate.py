@@ -69,7 +69,7 @@ def validate(
             return findings  # a frame cannot be decoded, but the remaining checks need all selected frames
         findings += visibility_findings(meta, survey.target_pixels)
         findings += arrival_findings(meta, survey.target_pixels[bundle.length - 1])
-        findings += start_findings(meta, arrays, bundle.ids(0), bundle.depth(0), candidates)
+        findings += start_findings(meta, arrays, ids=bundle.ids(0), depth=bundle.depth(0), candidates=candidates)
     return findings + _digest_findings(bundle)
 
 

@@ -60,7 +60,7 @@ def bench_collect(
     for _ in range(repeats):
         for name, plan in variants.items():
             with tempfile.TemporaryDirectory(dir=folder) as root:
-                runs[name].append(_time(LocalRun(plan, catalog, Path(root), workers, renderer)))
+                runs[name].append(_time(LocalRun(plan, catalog, root=Path(root), workers=workers, renderer=renderer)))
             tell()
     return {name: _pace(variants[name], runs[name]) for name in variants}
 

@@ -53,11 +53,11 @@ def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: 
     recorder = StageRecorder()
     collider = _one_body_a_part(scene)
     with World(scene, collider, job.robot, job.task.control_hz) as world, closing(TinyScene(scene)) as shown:
-        _make_frame(world, shown, job, chosen[0], recorder)
+        _make_frame(world, shown, job=job, pose=chosen[0], recorder=recorder)
         recorder.start()
         wall, cpu = time.perf_counter(), time.process_time()
         for pose in chosen:
-            _make_frame(world, shown, job, pose, recorder)
+            _make_frame(world, shown, job=job, pose=pose, recorder=recorder)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     stages = {stage: 1000 * seconds / frames for stage, (seconds, _) in recorder.take().items()}
     return PlainPace(frames=frames, frames_per_s=frames / wall, frames_per_cpu_s=frames / cpu, stages=stages)
@@ -151,7 +151,7 @@ def _warm_up(jobs: Sequence[Job], context: SimulationContext, file: BinaryIO) ->
     details = []
     for job in jobs:
         _rewind(file)
-        outcome = run_attempt(job, context, file, "bench", _ignore)
+        outcome = run_attempt(job, context, out=file, sid="bench", on_step=_ignore)
         if isinstance(outcome, Success):
             bundle = BundleReader(file)
             return {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
@@ -163,7 +163,7 @@ def _timed(job: Job, context: SimulationContext, recorder: StageRecorder, file: 
     _rewind(file)
     wall, cpu = time.perf_counter(), time.process_time()
     recorder.start()
-    outcome = run_attempt(job, context, file, "bench", _ignore)
+    outcome = run_attempt(job, context, out=file, sid="bench", on_step=_ignore)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     tell()
     stages = recorder.take()

@@ -103,7 +103,7 @@ def make_sample(
         if not rows:
             raise WorldError(f"none of {plan.episodes} attempts succeeded, so nothing can be measured")
         scenes = {name: entry.sha256 for name, entry in catalog.items()}
-        write_tables(archive, plan, scenes, rows, [], datetime.now(UTC))
+        write_tables(archive, plan, scenes=scenes, episodes=rows, failures=[], now=datetime.now(UTC))
     return tuple(samples)
 
 
@@ -111,7 +111,7 @@ def _try(archive: Archive, job: Job, stage: SimulationContext) -> EpisodeSummary
     from workers.sim.attempt import AttemptFailure, run_attempt
 
     out = BytesIO()
-    outcome = run_attempt(job, stage, out, "bench", lambda _step: None)
+    outcome = run_attempt(job, stage, out=out, sid="bench", on_step=lambda _step: None)
     if isinstance(outcome, AttemptFailure):
         return None
     data = out.getvalue()

@@ -206,7 +206,9 @@ def _drive(campaign: Campaign, store: Store, access: FleetAccess | None) -> bool
     with stop_on_signals() as (stop, _), pace_bars(campaign) as on_progress:
         if access is None:
             return run_campaign(campaign, store, stop, on_progress)
-        return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, access, stop, on_progress)
+        return run_fleet(
+            campaign, Dataset(campaign.root).meta.plan, store=store, access=access, stop=stop, tell=on_progress
+        )
 
 
 def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:

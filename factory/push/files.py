@@ -132,7 +132,7 @@ def plan_push(root: Path, manifest_name: str) -> PushPlan:
         raise WorldError(f"{root} contains no files to upload")
     remarks += _incomplete(root / (META_FILE if kind == "dataset" else manifest_name), kind)
     remarks += _crowded(files)
-    return PushPlan(root, kind, tuple(files), _lerobot_version(root), tuple(remarks))
+    return PushPlan(root, kind, files=tuple(files), tag=_lerobot_version(root), remarks=tuple(remarks))
 
 
 def batches_of(

@@ -240,7 +240,11 @@ class PartWriter:
         goals = tuple(each for each in instructions if each.kind is InstructionKind.GOAL)
         number, held_out = self._scene.graph.number_of[start.target_id], Split(start.split).is_paraphrased
         episode_of_questions = AskedEpisode(
-            episode.poses, number, goals, Split(start.split) is Split.TEST_FALSE_PREMISE, images
+            episode.poses,
+            number,
+            goals=goals,
+            is_false_premise=Split(start.split) is Split.TEST_FALSE_PREMISE,
+            images=images,
         )
         return self.questions.write(self._place, episode_of_questions, held_out, self._rng(start, _QUESTION_STREAM))
 

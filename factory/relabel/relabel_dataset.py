@@ -243,7 +243,7 @@ def relabel(
         table = pa.concat_tables([pq.read_table(file) for file in files]).sort_by(
             [("index", "ascending"), ("number", "ascending")]
         )
-        assemble(dataset, table, _other_tables(tasks, spec), spec, output)
+        assemble(dataset, table, others=_other_tables(tasks, spec), spec=spec, output=output)
         output.drop_work()
     return _report(out, len(dataset), table, rejected)
 
@@ -338,7 +338,12 @@ def _tasks(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec, output: O
         for first in range(0, len(job.starts), _PART_EPISODES):
             starts = job.starts[first : first + _PART_EPISODES]
             yield PartTask(
-                dataset.root, job.package, dataset.meta.plan.camera, spec, starts, _part_file(output, number)
+                dataset.root,
+                job.package,
+                camera=dataset.meta.plan.camera,
+                spec=spec,
+                starts=starts,
+                file=_part_file(output, number),
             )
             number += 1
 

@@ -91,7 +91,7 @@ def open_catalog(
         InvalidPlan: The scenes cannot fulfil the plan; the message describes the nearest feasible plan. Nothing has
             been written to `root`.
     """
-    entries = collect_scenes(plan, root, cache, tell, builds, only, packages)
+    entries = collect_scenes(plan, root, cache=cache, tell=tell, builds=builds, only=only, packages=packages)
     mistakes = find_impossible(plan, entries)
     if mistakes:
         nearest = find_nearest(plan, entries)
@@ -232,8 +232,12 @@ def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:
     book, chosen = _edits(scene)
     if scene.file is None:
         family = family_of(scene.name)
-        return build_scene(family, scene.seed, cache, book, chosen, tell, _called(scene))
-    return import_scene(Path(scene.file), scene.name, cache, book, chosen, _limits(scene), tell)
+        return build_scene(
+            family, scene.seed, cache=cache, rules=book, targets=chosen, tell=tell, called=_called(scene)
+        )
+    return import_scene(
+        Path(scene.file), scene.name, cache=cache, rules=book, targets=chosen, limits=_limits(scene), tell=tell
+    )
 
 
 def _find(scene: ScenePlan, cache: Path) -> Path | None:
@@ -241,9 +245,11 @@ def _find(scene: ScenePlan, cache: Path) -> Path | None:
         return None
     book, chosen = _edits(scene)
     if scene.file is None:
-        path = package_path(family_of(scene.name), scene.seed, cache, book, chosen, _called(scene))
+        path = package_path(
+            family_of(scene.name), scene.seed, cache=cache, rules=book, targets=chosen, called=_called(scene)
+        )
         return path if path.is_file() else None
-    return find_import(Path(scene.file), scene.name, cache, book, chosen, _limits(scene))
+    return find_import(Path(scene.file), scene.name, cache=cache, rules=book, targets=chosen, limits=_limits(scene))
 
 
 def _called(scene: ScenePlan) -> str | None:

@@ -60,7 +60,7 @@ def replay_episode(
         archived = BundleReader(file)
         job = archived.meta.job
         stage.load(find_package(root, job.scene, job.scene_sha256).path, job.scene_sha256)
-        outcome = run_attempt(job, stage, out, "replay", lambda step: on_step(step, archived.length))
+        outcome = run_attempt(job, stage, out=out, sid="replay", on_step=lambda step: on_step(step, archived.length))
         if isinstance(outcome, AttemptFailure):
             raise WorldError(f"{job.episode_id}: the replay ended with {outcome.reason}: {outcome.detail}")
         return _compare(archived, out)

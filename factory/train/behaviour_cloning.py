@@ -167,8 +167,15 @@ def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrame
 
     def frames_of(dataset: Dataset) -> TrainingFrames:
         if order.dataset.meta.plan.record is Recording.FRAMES:
-            return open_cache(dataset, options.size, options.hold, cache_directory() / "train", tell)
-        return render_frames(dataset, options.size, options.hold, options.antialias, order.memory_bytes, tell)
+            return open_cache(dataset, options.size, hold=options.hold, root=cache_directory() / "train", tell=tell)
+        return render_frames(
+            dataset,
+            options.size,
+            hold=options.hold,
+            antialias=options.antialias,
+            memory_bytes=order.memory_bytes,
+            tell=tell,
+        )
 
     val = (
         order.dataset.filter(split=Split.VAL_ID) if order.split is not Split.VAL_ID else order.dataset.filter(split=())

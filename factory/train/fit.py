@@ -201,7 +201,13 @@ def _read(frames: TrainingFrames, rows: NDArray[np.int64], sentences: NDArray[np
     taken = frames.pictures.take(rows)
     mask = taken.mask.astype(np.float32) / np.float32(255)
     pictures = preprocess.to_input(taken.rgb, taken.depth)
-    return Batch(pictures, mask, frames.actions[rows], frames.is_stop[rows], sentences[frames.episode[rows]])
+    return Batch(
+        pictures,
+        mask,
+        actions=frames.actions[rows],
+        is_stop=frames.is_stop[rows],
+        words=sentences[frames.episode[rows]],
+    )
 
 
 def _blocks(rows: int, size: int) -> Iterator[NDArray[np.int64]]:

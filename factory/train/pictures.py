@@ -135,7 +135,14 @@ def _open(folder: Path, index: FramesIndex, dataset: Dataset) -> TrainingFrames:
             actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder; it is created again") from error
-    return TrainingFrames(index, actions, is_stop, episode, scene_numbers(dataset)[episode], Pictures(rgb, depth, mask))
+    return TrainingFrames(
+        index,
+        actions,
+        is_stop=is_stop,
+        episode=episode,
+        scene=scene_numbers(dataset)[episode],
+        pictures=Pictures(rgb, depth, mask),
+    )
 
 
 def render_frames(
@@ -158,7 +165,9 @@ def render_frames(
     """
     steps = label_steps(dataset, size, hold, tell)
     samples = antialias or FRAME_SIZE_PX // size
-    return steps.with_pictures(dataset, RenderedPictures(dataset, steps, size, samples, memory_bytes))
+    return steps.with_pictures(
+        dataset, RenderedPictures(dataset, steps, size=size, antialias=samples, memory_bytes=memory_bytes)
+    )
 
 
 class RenderedPictures:

@@ -191,7 +191,13 @@ def verify(
     language = meta.plan.language
     is_drawn = language is not None and language.exchangeable
     checks = _plan_checks(
-        rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None, is_drawn
+        rows,
+        _check_scenes(root, meta, report),
+        report=report,
+        drawn=drawn,
+        frames_of=frames_of,
+        relabelled=meta.relabelling is not None,
+        is_drawn=is_drawn,
     )
     for done, result in enumerate(run_checks(checks, processes), 1):
         report.findings += result.findings
@@ -254,7 +260,16 @@ def _plan_checks(
         name = row.episode_id
         package = scenes[row.scene].path if candidates else None
         frames = frames_of.get(name)
-        yield EpisodeCheck(report.root, row, candidates, report.deep, name in drawn, frames, package, relabelled)
+        yield EpisodeCheck(
+            report.root,
+            row,
+            candidates=candidates,
+            deep=report.deep,
+            render=name in drawn,
+            reference=frames,
+            package=package,
+            relabelled=relabelled,
+        )
 
 
 def _check_listing(root: Place, names: Collection[str], report: VerifyReport) -> None:

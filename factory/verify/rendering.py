@@ -161,7 +161,7 @@ def compare_rendered(
     for t, recorded in zip(steps, digests, strict=False):  # the validator reports a wrong number of digests
         frame = bundle.render(t)
         if t == 0 and not bundle.has_frames:  # the validator has checked the start view of stored frames
-            lines += start_findings(bundle.meta, bundle.arrays, frame.ids, frame.depth, candidates)
+            lines += start_findings(bundle.meta, bundle.arrays, ids=frame.ids, depth=frame.depth, candidates=candidates)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
         if frame_digest(frame.rgb, frame.depth, frame.ids) == recorded:
             difference.add_equal(frame.depth.size, bundle.has_frames or reference is not None)

@@ -67,7 +67,14 @@ def inspect_dataset(
         )
     catalog, troubles = _catalog(record, root, cache, tell)
     return RepairInput(
-        root, state_dir, ledger, record.plan, catalog, troubles, shard_of(Site(root, state_dir), url), foreign_ledger
+        root,
+        state_dir,
+        url=ledger,
+        plan=record.plan,
+        catalog=catalog,
+        scenes=troubles,
+        shard=shard_of(Site(root, state_dir), url),
+        foreign_ledger=foreign_ledger,
     )
 
 

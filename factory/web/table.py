@@ -115,7 +115,9 @@ def parse_query(given: Mapping[str, str]) -> TableQuery:
     if len(text) > _MOST_TEXT:
         raise UsageError(f"q has {len(text)} characters, at most {_MOST_TEXT} are allowed")
     filters = {name: given[name] for name in FILTERS if given.get(name)}
-    return TableQuery(filters, text, sort, given.get("order") == "desc", page, bool(given.get("flagged")))
+    return TableQuery(
+        filters, text, sort=sort, descending=given.get("order") == "desc", page=page, flagged=bool(given.get("flagged"))
+    )
 
 
 def page_number(given: Mapping[str, str]) -> int:

@@ -218,7 +218,7 @@ class Workspace:
         with read_ledger(self.site, self.ledger) as connection:
             progress = progress_in(connection, self.site, self.ledger)
             reading = read_farm(connection, now)
-            return Farm(progress, reading, now, read_info(connection), count_failures(connection))
+            return Farm(progress, reading, at=now, info=read_info(connection), failed=count_failures(connection))
 
     def failures(self, scene: str) -> list[FailedPlace]:
         """Returns the newest failed attempts of a scene; empty without a ledger."""

@@ -114,7 +114,9 @@ def start_view_findings(
             least = view.least_same_category
             findings.append(f"{len(same)} other objects of the target's category are in view, at least {least} must be")
         elif view.ranks is not None:
-            findings += _rank_findings(view.ranks, target, same, ids, depth, camera, min_pixels)
+            findings += _rank_findings(
+                view.ranks, target, same_category=same, ids=ids, depth=depth, camera=camera, min_pixels=min_pixels
+            )
         return findings
     if view.shows_target:
         findings.append("the target is not in view")
@@ -137,7 +139,7 @@ def _rank_findings(
 ) -> list[str]:
     """Returns a sentence for each measure (distance, angle) by which the target's rank contradicts `ranks`."""
     # a start faces its target, which without this would nearly always be the most central object of its category
-    seen = see_objects(ids, depth, {target, *same_category}, camera, min_pixels)
+    seen = see_objects(ids, depth, objects={target, *same_category}, camera=camera, min_pixels=min_pixels)
     findings = []
     measures = {"nearest": _range_of, "most central": _angle_of}
     for (name, measure), share in zip(measures.items(), ranks, strict=True):

@@ -85,7 +85,7 @@ class Composer:
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
-        return Search(scene.parts, seen, number, families, self._by_language[code].grammar)
+        return Search(scene.parts, seen, number=number, families=families, words=self._by_language[code].grammar)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
         """Returns the features for try number `turn`: in the first two tries, a few features drawn by their weights; in
@@ -129,7 +129,7 @@ class Composer:
             if one is not None:
                 instructions.setdefault(one.text, one)
         if rng.random() < self.spec.false_premises:
-            wrong = self.write_false_premise(scene, view, number, held_out, rng)
+            wrong = self.write_false_premise(scene, view, number=number, held_out=held_out, rng=rng)
             instructions |= {} if wrong is None else {wrong.text: wrong}
         return list(instructions.values())
 
@@ -179,9 +179,17 @@ class Composer:
             return None
         fits = 1 if expression.definite else len(scene.verifier.evaluate(expression, view).possible)
         return self._instruction(
-            InstructionKind.GOAL, text, code, pattern, expression, features_of(expression, kind), is_minimal, fits,
-            scene.distractors(number), rng,
-        )  # fmt: skip
+            InstructionKind.GOAL,
+            text,
+            code=code,
+            pattern=pattern,
+            expression=expression,
+            features=features_of(expression, kind),
+            is_minimal=is_minimal,
+            fits=fits,
+            distractors=scene.distractors(number),
+            rng=rng,
+        )
 
     def say(
         self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator
@@ -232,9 +240,17 @@ class Composer:
             pattern, text = self.say(code, held_out, absent, rng)
             if scene.verifier.is_false_premise(text, self._by_language[code].reader, view):
                 return self._instruction(
-                    InstructionKind.FALSE_PREMISE, text, code, pattern, absent, absent.families, True, 0,
-                    scene.distractors(number), rng,
-                )  # fmt: skip
+                    InstructionKind.FALSE_PREMISE,
+                    text,
+                    code=code,
+                    pattern=pattern,
+                    expression=absent,
+                    features=absent.families,
+                    is_minimal=True,
+                    fits=0,
+                    distractors=scene.distractors(number),
+                    rng=rng,
+                )
         return None
 
     def _absent(self, scene: SceneLanguage, number: int, code: str) -> list[list[Expression]]:
@@ -276,7 +292,9 @@ class Composer:
         rng: np.random.Generator,
     ) -> Instruction:
         mistake = self._mistake(rng)
-        wrong = mistake and with_mistake(text, mistake, code, self._by_language[code].reader.vocabulary, rng)
+        wrong = mistake and with_mistake(
+            text, mistake, code=code, vocabulary=self._by_language[code].reader.vocabulary, rng=rng
+        )
         return Instruction(
             kind=kind,
             text=wrong or text,

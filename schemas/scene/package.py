@@ -24,7 +24,7 @@ from schemas.scene.compiled import SCENE_ARRAYS, TEXTURES_SPEC, CompiledScene, L
 from schemas.scene.info import LAYOUT_FORMAT, MAX_TEXTURES, SCENE_FORMAT, SceneInfo, TextureFile
 from schemas.scene.textures import ReadTexture, encode_texture, load_texture
 
-PLACES = ArraySpec("places", (None, 3), np.float32, "m", -1e4, 1e4)
+PLACES = ArraySpec("places", (None, 3), dtype=np.float32, unit="m", low=-1e4, high=1e4)
 """(U, 3) distinct vertex positions in the order of their first use, metres."""
 PLACE_STEPS = ArraySpec("place_steps", (None,), np.uint32, "1")
 """(V,) for each vertex, the number of distinct places before it minus the index of its place; 0 for a new place."""
@@ -247,7 +247,7 @@ def _read_info(reader: ContainerReader) -> SceneInfo:
 
 def _read_array(reader: ContainerReader, spec: ArraySpec) -> NDArray[Any]:
     data = reader.read(f"{spec.name}.npy.zst")
-    array = decode_npy_zst(spec.name, data, spec.dtype, spec.shape, MAX_SCENE_BYTES)
+    array = decode_npy_zst(spec.name, data, dtype=spec.dtype, shape=spec.shape, max_bytes=MAX_SCENE_BYTES)
     findings = spec.violations(array)
     if findings:
         raise InvalidBundle("scene refused", findings)

@@ -79,7 +79,9 @@ def decode_texture(texture: TextureFile, data: bytes) -> Layer:
         InvalidBundle: the file has a different size or digest, or is not a layer.
     """
     require_texture(texture, data)
-    return decode_npy_zst(texture.file, data, np.uint8, _SHAPE, _RAW_BYTES).astype(np.uint8, copy=False)
+    return decode_npy_zst(texture.file, data, dtype=np.uint8, shape=_SHAPE, max_bytes=_RAW_BYTES).astype(
+        np.uint8, copy=False
+    )
 
 
 def load_texture(texture: TextureFile, read: ReadTexture) -> Layer:

@@ -64,11 +64,11 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
     settled: str | None = None
     with Link(settings.connect, name, settings.tls) as link:
         while True:
-            terms = _find_run(link, settings, name, sid, stop, settled)
+            terms = _find_run(link, settings, name=name, sid=sid, stop=stop, settled=settled)
             if terms is None:
                 return 0
             link.join(terms.run)
-            ending = _work_for(terms, link, settings, name, sid, stop, at_once)
+            ending = _work_for(terms, link, settings=settings, name=name, sid=sid, stop=stop, at_once=at_once)
             log.info("worker_left", run=terms.run, why=ending.value)
             is_settled = ending is Ending.FINISHED and terms.run_kind is RunKind.EVALUATION
             if not is_settled and ending is not Ending.MOVED:

@@ -45,7 +45,7 @@ def write_instruction(job: Job, scene: LoadedScene, start: Pose) -> Instruction 
     number, held_out = language.graph.number_of[job.target_id], job.split.is_paraphrased
     composer, rng = composer_of(job.language), job.language_rng()
     if job.is_false_premise:
-        return composer.write_false_premise(language, view, number, held_out, rng)
+        return composer.write_false_premise(language, view, number=number, held_out=held_out, rng=rng)
     instructions = composer.write(language, view, number, held_out, rng)
     return instructions[0] if instructions else None
 
@@ -114,7 +114,15 @@ def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> 
         if not (is_wanted and ((view.other_referents or view.least_same_category) if is_shown else view.same_category)):
             return is_wanted
     image = renderer.render_depth_and_ids(pose)
-    return not start_view_findings(view, instance_id, bearing_rad, image.ids, image.depth, job.camera, least)
+    return not start_view_findings(
+        view,
+        instance_id,
+        bearing_rad=bearing_rad,
+        ids=image.ids,
+        depth=image.depth,
+        camera=job.camera,
+        min_pixels=least,
+    )
 
 
 def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple[Target, ...]:
@@ -148,7 +156,9 @@ def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
         is_missing = instruction is None and job.language is not None
         return None if is_missing else EpisodeAim(job, scene.compiled.info.target(job.target_id), instruction)
     targets = _choices(job, scene.compiled.info, renderer, pose)
-    aims = [_exchangeable_aim(job, target, targets, scene, renderer, pose) for target in targets]
+    aims = [
+        _exchangeable_aim(job, target, targets=targets, scene=scene, renderer=renderer, pose=pose) for target in targets
+    ]
     return job.choice.of(aims) if aims and all(aims) else None
 
 
@@ -159,7 +169,7 @@ def _exchangeable_aim(
     aimed_job = job.aimed_at(target)
     instruction = write_instruction(aimed_job, scene, pose)
     planned = None if instruction is None else make_expert(aimed_job).begin(pose, scene.grid, target)
-    if planned is None or not ends_in_view(aimed_job, target, scene, renderer, planned):
+    if planned is None or not ends_in_view(aimed_job, target, scene=scene, renderer=renderer, planned=planned):
         return None
     return EpisodeAim(aimed_job, target, instruction, tuple(each.instance_id for each in targets))
 

@@ -59,7 +59,9 @@ def show_appearance(
     if ranges.light is not None and scene.light is None:
         raise WorldError(f"the light groups of scene {job.scene} are missing: run `factory scene light {job.scene}`")
     target = scene.compiled.info.target(job.target_id)
-    drawn = draw_appearance(ranges, job.root_seed, job.index, scene.appearance, target, poses)
+    drawn = draw_appearance(
+        ranges, job.root_seed, episode=job.index, place=scene.appearance, target=target, poses=poses
+    )
     compiled = apply_appearance(scene.compiled, scene.light, drawn) if drawn.changes_scene else scene.compiled
     renderer.load(compiled, job.camera)
     if drawn.camera is not None:

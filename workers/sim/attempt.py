@@ -89,24 +89,24 @@ def run_attempt(
         scene.compiled, job.camera
     )  # loaded before the world is built, because both can need much memory
     is_clear = partial(is_view_clear, job, scene.compiled.info, context.renderer)
-    for draws, start in enumerate(draw_poses(job, target, scene, rng, is_clear), 1):
+    for draws, start in enumerate(draw_poses(job, target, scene=scene, rng=rng, accepts=is_clear), 1):
         with World(scene.compiled, scene.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue
             aim = find_aim(job, scene, context.renderer, world.pose())
             if aim is None:
                 continue
-            attempt = _Attempt(aim, scene, context, out, sid, on_step)
+            attempt = _Attempt(aim, scene, context=context, out=out, sid=sid, on_step=on_step)
             expert = make_expert(aim.job)
             planned = expert.begin(world.pose(), scene.grid, aim.target)
             if planned is None:
                 return AttemptFailure(
                     FailReason.NO_PATH, f"no drivable path to {aim.job.target_id} from {_pose_text(start)}", 0
                 )
-            if not ends_in_view(aim.job, aim.target, scene, context.renderer, planned):
+            if not ends_in_view(aim.job, aim.target, scene=scene, renderer=context.renderer, planned=planned):
                 detail = f"the path from {_pose_text(start)} ends without {aim.job.target_id} in view"
                 return AttemptFailure(FailReason.NOT_IN_VIEW, detail, 0)
-            return _drive_and_seal(attempt, world, expert, planned, draws)
+            return _drive_and_seal(attempt, world, expert=expert, planned=planned, draws=draws)
     is_free = job.start_view is None and job.language is None
     conditions = "" if is_free else ", whose view meets the conditions of the instruction,"
     tries = f"in tier {job.tier} in {job.spawn.physics_draws} draws"
@@ -139,11 +139,18 @@ def _drive_and_seal(
         add_sampled_digests(writer, context.renderer, job, poses)
     else:
         tell = partial(attempt.on_step, len(poses))
-        shown = show_appearance(job, job.view.appearance, scene, context.renderer, poses)
-        visible = add_frames(writer, shown.renderer, job, poses, target.instance_id, lambda _frames: tell())
+        shown = show_appearance(job, job.view.appearance, scene=scene, renderer=context.renderer, poses=poses)
+        visible = add_frames(
+            writer,
+            shown.renderer,
+            job=job,
+            poses=poses,
+            instance_id=target.instance_id,
+            on_frame=lambda _frames: tell(),
+        )
         rollout = replace(rollout, steps_visible=visible)
         surroundings = LoadedSurroundings(shown.scene, context.renderer)
-        add_measurements(writer, surroundings, job, rollout.arrays, tell, shown.change)
+        add_measurements(writer, surroundings, job=job, arrays=rollout.arrays, on_measurement=tell, change=shown.change)
     reach_m = None if job.is_false_premise else geodesic_m(scene.grid, (start.x, start.y), target, job.task)
     context.timer("route")
     route = Route(geodesic_m=reach_m, planned=planned)

@@ -113,7 +113,11 @@ def add_measurements(
     if job.view.rig is None:
         return
     track = Trajectory(
-        arrays.poses, arrays.actions_continuous.astype(np.float64), job.task.control_hz, job.root_seed, job.index
+        arrays.poses,
+        arrays.actions_continuous.astype(np.float64),
+        control_hz=job.task.control_hz,
+        seed=job.root_seed,
+        episode=job.index,
     )
     require_room(job.view.rig, track, scene, MAX_BUNDLE_BYTES, change)
     for sensor in job.view.rig.sensors:
@@ -148,7 +152,7 @@ def require_room(
     estimate = 0.0
     for sensor, steps in seen:
         chosen = sorted({steps[0], steps[len(steps) // 2], steps[-1]})
-        sizes = [_stored_bytes(sensor, t, track, scene, change) for t in chosen]
+        sizes = [_stored_bytes(sensor, t, track=track, scene=scene, change=change) for t in chosen]
         estimate += len(steps) * sum(sizes) / len(sizes)
     if estimate > _EXCESS * limit_bytes:
         raise _too_large(rig, track, limit_bytes, f", which would store {estimate / 1e9:.1f} GB,")

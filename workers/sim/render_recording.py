@@ -40,7 +40,9 @@ def render_recording(
     with BundleReader(io.BytesIO(states)) as recorded:
         _require_job(recorded.meta.job, job)
         scene = context.loaded(job.scene_sha256)
-        shown = show_appearance(job, job.view.appearance, scene, context.renderer, recorded.arrays.poses)
+        shown = show_appearance(
+            job, job.view.appearance, scene=scene, renderer=context.renderer, poses=recorded.arrays.poses
+        )
         writer = BundleWriter(out, context.timer)
         # the recorded digests are of frames without varied appearance
         sampled = recorded.meta.sampled_digests if shown.drawn is None else {}
@@ -52,9 +54,13 @@ def render_recording(
             on_step(count)
 
         target_id = recorded.meta.target_instance_id
-        visible = add_frames(writer, shown.renderer, job, recorded.arrays.poses, target_id, check)
+        visible = add_frames(
+            writer, shown.renderer, job=job, poses=recorded.arrays.poses, instance_id=target_id, on_frame=check
+        )
         surroundings, tell = LoadedSurroundings(shown.scene, context.renderer), partial(on_step, recorded.length)
-        add_measurements(writer, surroundings, job, recorded.arrays, tell, shown.change)
+        add_measurements(
+            writer, surroundings, job=job, arrays=recorded.arrays, on_measurement=tell, change=shown.change
+        )
         meta = recorded.meta.with_frames(job, visible, shown.instances, shown.drawn)
         return Success(writer.finish(recorded.arrays, meta))
 

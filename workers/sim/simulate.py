@@ -92,9 +92,11 @@ def _attempt(order: SimulationOrder, context: SimulationContext, part: Path, pro
     context.load(order.scene_path, order.job.scene_sha256, order.light_path)
     with part.open("w+b") as file:
         if order.states is None:
-            outcome = run_attempt(order.job, context, file, order.sid, progress)
+            outcome = run_attempt(order.job, context, out=file, sid=order.sid, on_step=progress)
         else:
-            outcome = render_recording(order.job, context, base64.b64decode(order.states), file, progress)
+            outcome = render_recording(
+                order.job, context, states=base64.b64decode(order.states), out=file, on_step=progress
+            )
         if isinstance(outcome, AttemptFailure):
             return failure(outcome.reason, outcome.detail, outcome.steps, progress.seconds())
         file.flush()

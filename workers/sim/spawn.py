@@ -118,7 +118,7 @@ def draw_poses(
     """
     z = scene.compiled.info.floor_height_m
     for _ in range(job.spawn.physics_draws):
-        pose = _draw_on_grid(job, target, scene, rng, lambda start: accepts(Pose.planar(*start, z=z)))
+        pose = _draw_on_grid(job, target, scene=scene, rng=rng, accepts=lambda start: accepts(Pose.planar(*start, z=z)))
         if pose is None:
             return
         yield Pose.planar(*pose, z=z)
@@ -145,7 +145,7 @@ def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
 def _draw_on_grid(
     job: Job, target: Target, scene: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
 ) -> Start | None:
-    fitting = _draw_fitting(job, target, scene, rng, accepts)
+    fitting = _draw_fitting(job, target, scene=scene, rng=rng, accepts=accepts)
     first = next(fitting, None)
     if first is None or not _is_screened(job) or job.spawn.screening is not Screening.FORESEEN:
         return first
@@ -154,7 +154,7 @@ def _draw_on_grid(
     estimate = MaskEstimate(scene.compiled, target.instance_id, job.camera)
     best, most_m = first, -math.inf
     for start in some:
-        room_m = _room_along_drive(job, target, scene, start, estimate)
+        room_m = _room_along_drive(job, target, scene=scene, start=start, estimate=estimate)
         if room_m >= _PREDICTION_MARGIN_M:
             return start
         if room_m > most_m:

@@ -66,7 +66,15 @@ def read_failures(connection: Connection, scene: str | None = None, limit: int =
     if scene is not None:
         query = query.where(jobs.c.scene == scene)
     return [
-        FailedPlace(row.idx, row.attempt, row.outcome, row.detail, row.scene, row.target_id, place_in(row.detail))
+        FailedPlace(
+            row.idx,
+            row.attempt,
+            reason=row.outcome,
+            detail=row.detail,
+            scene=row.scene,
+            target_id=row.target_id,
+            xy_m=place_in(row.detail),
+        )
         for row in connection.execute(query)
     ]
 

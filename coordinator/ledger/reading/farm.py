@@ -137,7 +137,9 @@ def _running(connection: Connection) -> dict[str, tuple[RunningJob, ...]]:
     held = select(*columns).where(jobs.c.state.in_(HELD_STATES)).order_by(jobs.c.idx).limit(_MOST_RUNNING)
     running: defaultdict[str, list[RunningJob]] = defaultdict(list)
     for row in connection.execute(held):
-        running[row.sid or ""].append(RunningJob(row.idx, row.scene, row.tier == BUILD, row.step, row.state))
+        running[row.sid or ""].append(
+            RunningJob(row.idx, row.scene, is_build=row.tier == BUILD, step=row.step, state=row.state)
+        )
     return {sid: tuple(rows) for sid, rows in running.items()}
 
 
@@ -149,13 +151,13 @@ def _events(connection: Connection) -> tuple[FarmEvent, ...]:
         FarmEvent(
             row.idx,
             row.scene,
-            row.tier == BUILD,
-            event_name(row.event),
-            row.state,
-            row.attempt,
-            row.sid,
-            row.detail,
-            datetime.fromtimestamp(row.at, UTC),
+            is_build=row.tier == BUILD,
+            event=event_name(row.event),
+            state=row.state,
+            attempt=row.attempt,
+            worker=row.sid,
+            detail=row.detail,
+            at=datetime.fromtimestamp(row.at, UTC),
         )
         for row in connection.execute(query)
     )

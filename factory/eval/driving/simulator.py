@@ -75,7 +75,7 @@ class Simulator(Closing):
                 f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
             )
         pose = np.array(((x, y, 0.0, 1.0, 0.0, 0.0, 0.0),))
-        self.shown = show_appearance(job, self._appearance, loaded, self._context.renderer, pose)
+        self.shown = show_appearance(job, self._appearance, scene=loaded, renderer=self._context.renderer, poses=pose)
         self._loop = ClosedLoop(job, self.target, world, self.shown.renderer)
         self._held.callback(self._loop.leave)
         return self._loop.view

@@ -172,7 +172,9 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
     if groups:
         names = ", ".join(policies_without_instruction(policies))
         note = f"Difference 0 by construction for policies that do not use the instruction: {names}." if names else ""
-        yield MeasureTable("words", "Instruction ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
+        yield MeasureTable(
+            "words", "Instruction ablation", head=("policy", *_ABLATION_HEAD), groups=list(groups.items()), note=note
+        )
 
 
 def _film(failure: FailureExample) -> dict[str, object]:

@@ -73,7 +73,9 @@ def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallb
                 film, poster = folder / f"{row.spec_id}.mp4", folder / f"{row.spec_id}.jpg"
                 if not (film.exists() and poster.exists()):
                     scene = places.load(row.scene, shas[row.scene]).compiled
-                    pictures = list(draw_frames(row, scene, settings.task, stage.renderer, settings.camera))
+                    pictures = list(
+                        draw_frames(row, scene, task=settings.task, renderer=stage.renderer, camera=settings.camera)
+                    )
                     _write(poster, draw_poster(pictures[-1]))
                     write_mp4(film, pictures, FILM_RATE, FILM_CRF)
                 failures[name].append(FailureExample(row, film.read_bytes(), poster.read_bytes()))

@@ -155,6 +155,6 @@ def _drawn_pose(meta: EpisodeMeta, scene: LoadedScene) -> tuple[float, float, fl
 
     # instead of the check of the start view, which would render the view, compare with the recorded pose
     accepts = is_recorded if meta.job.start_view else (lambda _pose: True)
-    draws = draw_poses(meta.job, target, scene, meta.job.rng(), accepts)
+    draws = draw_poses(meta.job, target, scene=scene, rng=meta.job.rng(), accepts=accepts)
     drawn = next(filter(is_recorded, draws), None)
     return None if drawn is None else (drawn.x, drawn.y, drawn.yaw)

@@ -75,7 +75,7 @@ def unfiltered_specs(
     with Simulator(context, settings) as simulator:
         for done, job in enumerate(planned, 1):
             scene = places.load(job.episode.scene, catalog[job.episode.scene].sha256)
-            specs[job.index] = _spec(plan, catalog, job, scene, simulator, context)
+            specs[job.index] = _spec(plan, catalog, planned=job, scene=scene, simulator=simulator, context=context)
             tell(done, len(planned))
     names = ", ".join(str(split) for split in splits)
     return SpecSet(

@@ -202,7 +202,9 @@ def run_export(
     with Output(order.out) as out:
         if there is None:
             write_manifest(out, manifest)
-        state = _State(order, exporter, dataset, out, stop or threading.Event(), on_progress)
+        state = _State(
+            order, exporter, dataset=dataset, out=out, stop=stop or threading.Event(), on_progress=on_progress
+        )
         _make_pieces(state)
         if not state.stop.is_set():
             manifest = _finish(state, manifest)

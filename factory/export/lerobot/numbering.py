@@ -102,7 +102,11 @@ def number_pieces(pieces: Sequence[ExportPiece[LeRobotFacts]], stride: int) -> N
         row = piece.dataset[piece.position].summary
         task = row.instruction
         frames = -(-row.num_steps // stride)
-        numbered.append(Numbered(piece, number, tasks.setdefault(task, len(tasks)), task, first, frames))
+        numbered.append(
+            Numbered(
+                piece, number, task_index=tasks.setdefault(task, len(tasks)), task=task, first=first, frames=frames
+            )
+        )
         first += frames
     return Numbering(numbered, tuple(tasks), _ranges(ordered), first)
 

@@ -81,7 +81,7 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
     data = _write_data(dataset, limits)
     videos = {image.key: _write_videos(dataset, image, limits) for image in dataset.layout.videos}
     stats = DatasetStats(dataset.layout)
-    _write_episodes(dataset, data, videos, stats, limits)
+    _write_episodes(dataset, data, videos=videos, stats=stats, limits=limits)
     dataset.write_stats(stats.result(dataset.numbering))
     with dataset.out.replacing("meta/tasks.parquet") as part:
         pq.write_table(tasks_table(dataset.numbering.tasks), part, compression="snappy")

@@ -37,7 +37,14 @@ def draw(material: ReportInput) -> Figure:
     height = 1.3 + 0.42 * len(by_scene)
     outcomes = draw_panel("attempts", "Attempts by scene and outcome", lambda axes: _outcomes(axes, by_scene), height)
     rates = draw_panel("success_rates", "Success rates by scene", lambda axes: _rates(axes, by_scene, rows), height)
-    return Figure("attempts", title, source, caption, (outcomes, rates), (_table([*by_scene, everything], rows),))
+    return Figure(
+        "attempts",
+        title,
+        source=source,
+        caption=caption,
+        panels=(outcomes, rates),
+        tables=(_table([*by_scene, everything], rows),),
+    )
 
 
 def _outcomes(axes: Axes, rows: list[AttemptRow]) -> None:

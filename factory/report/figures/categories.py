@@ -28,7 +28,7 @@ def draw(material: ReportInput) -> Figure:
     panel = draw_panel(
         "categories", "Bars of the categories by scene", lambda axes: _paint(axes, material), 1.2 + 0.27 * len(rows)
     )
-    return Figure("categories", title, source, caption, (panel,), (_table(material),))
+    return Figure("categories", title, source=source, caption=caption, panels=(panel,), tables=(_table(material),))
 
 
 def _counts(material: ReportInput) -> Counter[tuple[str, str]]:

@@ -35,7 +35,7 @@ def draw(material: ReportInput) -> Figure:
     tables = [_table(material.statistics.navigation_error, "NE by scene, metres")]
     if material.statistics.other_error:
         tables.append(_table(material.statistics.other_error, "NE by the other success measure, metres"))
-    return Figure("errors", title, source, caption, (panel,), tuple(tables))
+    return Figure("errors", title, source=source, caption=caption, panels=(panel,), tables=tuple(tables))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:

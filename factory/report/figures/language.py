@@ -48,7 +48,9 @@ def draw(material: ReportInput) -> Figure:
     views, everything = material.drives.views, len(material.episodes)
     if not views:
         return Figure("language", title, source, "No episodes to show.")
-    summary = summarise_language(material.meta.run, material.meta.run, material.scenes, everything, views)
+    summary = summarise_language(
+        material.meta.run, material.meta.run, scenes=material.scenes, episodes=everything, views=views
+    )
     caption = (
         f"Shares of {count(summary.read, 'episode')} with 95 % Wilson intervals; "
         f"{count(summary.instructions, 'distinct instruction')}. "
@@ -70,7 +72,7 @@ def draw(material: ReportInput) -> Figure:
         _wording_table(summary),
         _arrival_table(summary),
     )
-    return Figure("language", title, source, caption, (panel,), tables)
+    return Figure("language", title, source=source, caption=caption, panels=(panel,), tables=tables)
 
 
 def _paint(axes: Axes, row: LanguageRow) -> None:

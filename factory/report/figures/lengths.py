@@ -29,7 +29,7 @@ def draw(material: ReportInput) -> Figure:
     panel = draw_panel(
         "tl_histogram", "Histogram of trajectory lengths by scene", lambda axes: _paint(axes, material), 3.2
     )
-    return Figure("lengths", title, source, caption, (panel,))
+    return Figure("lengths", title, source=source, caption=caption, panels=(panel,))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:

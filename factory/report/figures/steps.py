@@ -29,7 +29,7 @@ def draw(material: ReportInput) -> Figure:
         lambda axes: _paint(axes, material),
         1.3 + 0.5 * len(material.scenes),
     )
-    return Figure("steps", title, source, caption, (panel,), (_geometry(material),))
+    return Figure("steps", title, source=source, caption=caption, panels=(panel,), tables=(_geometry(material),))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:

@@ -30,13 +30,18 @@ def draw(material: ReportInput) -> Figure:
     lengths = draw_panel(
         "tier_lengths",
         "Mean trajectory length by tier",
-        lambda axes: _bars(axes, rows, "tl_mean_m", "mean trajectory length, m", 2),
+        lambda axes: _bars(axes, rows, field="tl_mean_m", label="mean trajectory length, m", digits=2),
         2.3,
     )
     steps = draw_panel(
-        "tier_steps", "Mean steps by tier", lambda axes: _bars(axes, rows, "steps_mean", "mean steps", 0), 2.3
+        "tier_steps",
+        "Mean steps by tier",
+        lambda axes: _bars(axes, rows, field="steps_mean", label="mean steps", digits=0),
+        2.3,
     )
-    return Figure("tier_statistics", title, source, caption, (lengths, steps), (_table(material),))
+    return Figure(
+        "tier_statistics", title, source=source, caption=caption, panels=(lengths, steps), tables=(_table(material),)
+    )
 
 
 def _ratios(rows: dict[str, RolloutRow], beside: bool) -> str:

@@ -36,7 +36,7 @@ def draw(material: ReportInput) -> Figure:
         "spawn_distances", "Histogram of start distances by tier", lambda axes: _distances(axes, material), 2.8
     )
     tables = (_far_table(material),) if rows[Tier.FAR].n else ()
-    return Figure("tiers", title, source, caption, (shares, distances), tables)
+    return Figure("tiers", title, source=source, caption=caption, panels=(shares, distances), tables=tables)
 
 
 def _shares(axes: Axes, material: ReportInput) -> None:

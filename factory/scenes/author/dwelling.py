@@ -171,7 +171,16 @@ def _build_wall(plan: FloorPlan, run: _Run, division: Division, building: Buildi
     faces = tuple((look or shown).paint for look in looks)
     trims = tuple(None if look is None else look.trim or building.trim for look in looks)
     doors = [opening.doorway for opening in openings]
-    wall(plan, run.is_along_x, run.at, run.span, (faces[0], faces[1]), doors, building.height, (trims[0], trims[1]))
+    wall(
+        plan,
+        run.is_along_x,
+        at=run.at,
+        span=run.span,
+        faces=(faces[0], faces[1]),
+        doors=doors,
+        height=building.height,
+        trims=(trims[0], trims[1]),
+    )
 
 
 def _is_in(opening: Opening, run: _Run) -> bool:

@@ -42,16 +42,28 @@ def workplace(furnisher: Furnisher, desk: PropPlacement | None, chair: int, is_s
     screen = furnisher.plan.pick(3)
     if is_second and rng.random() < 0.3:
         for shift in (-0.3, 0.3):
-            furnisher.on_top("SM_Monitor_A", screen, desk, DESK_TOP_M, shift, 0.1, -0.7 * shift)
+            furnisher.on_top(
+                "SM_Monitor_A", screen, below=desk, height=DESK_TOP_M, along=shift, back=0.1, turn=-0.7 * shift
+            )
     else:
-        furnisher.on_top("SM_Monitor_A", screen, desk, DESK_TOP_M, aside, 0.08, float(rng.uniform(-0.2, 0.2)))
+        furnisher.on_top(
+            "SM_Monitor_A",
+            screen,
+            below=desk,
+            height=DESK_TOP_M,
+            along=aside,
+            back=0.08,
+            turn=float(rng.uniform(-0.2, 0.2)),
+        )
         if furnisher.is_wanted() and rng.random() < 0.6:
             thing = _ON_DESKS[furnisher.plan.pick(len(_ON_DESKS))]
-            furnisher.on_top(thing, None, desk, DESK_TOP_M, 0.48, 0.02, float(rng.uniform(-0.3, 0.3)))
-    furnisher.on_top("SM_TypingPad", 0, desk, DESK_TOP_M, aside / 2, -0.2)
+            furnisher.on_top(
+                thing, None, below=desk, height=DESK_TOP_M, along=0.48, back=0.02, turn=float(rng.uniform(-0.3, 0.3))
+            )
+    furnisher.on_top("SM_TypingPad", 0, below=desk, height=DESK_TOP_M, along=aside / 2, back=-0.2)
     if rng.random() < 0.93:
         name, turn = _WORK_CHAIRS[furnisher.plan.pick(3)], float(rng.uniform(-0.5, 0.5))
-        furnisher.before(name, chair, desk, float(rng.uniform(0.42, 0.64)), aside / 2, turn)
+        furnisher.before(name, chair, of=desk, reach=float(rng.uniform(0.42, 0.64)), along=aside / 2, turn=turn)
 
 
 def chairs_around(furnisher: Furnisher, table: PropPlacement, kind: str, look: int, share: float = 0.9) -> None:
@@ -69,7 +81,7 @@ def chairs_around(furnisher: Furnisher, table: PropPlacement, kind: str, look: i
         if furnisher.rng.random() < share:
             x, y = table.x + c * a - s * b, table.y + s * a + c * b
             yaw = table.yaw + turn + float(furnisher.rng.uniform(-0.15, 0.15))
-            furnisher.plan.seat(furnisher.model(kind, look), x, y, yaw, furnisher.area, table)
+            furnisher.plan.seat(furnisher.model(kind, look), x, y=y, yaw=yaw, room=furnisher.area, of=table)
 
 
 def round_table(
@@ -84,15 +96,15 @@ def round_table(
     for number in range(count):
         turn = first + 2 * math.pi * number / count
         x, y = centre[0] + reach * math.cos(turn), centre[1] + reach * math.sin(turn)
-        furnisher.plan.seat(furnisher.model(kind, look), x, y, turn - math.pi / 2, furnisher.area, table)
+        furnisher.plan.seat(furnisher.model(kind, look), x, y=y, yaw=turn - math.pi / 2, room=furnisher.area, of=table)
     return table
 
 
 def seat_group(furnisher: Furnisher, sides: str | None = None, rug: int | None = 0) -> PropPlacement | None:
     """Places a sofa at a wall with a low table, one or two arm chairs and a rug before it; returns the sofa."""
     cover, rng = furnisher.palette.cover, furnisher.rng
-    sofa = furnisher.wall_piece("SM_Sofa_A", cover, sides, 0.4, 0.05) or furnisher.wall_piece(
-        "SM_Sofa_A", cover, sides, 0.1, 0.05
+    sofa = furnisher.wall_piece("SM_Sofa_A", cover, sides=sides, clearance=0.4, gap=0.05) or furnisher.wall_piece(
+        "SM_Sofa_A", cover, sides=sides, clearance=0.1, gap=0.05
     )
     if sofa is None:
         return None
@@ -227,7 +239,7 @@ class Furnisher:
         model = self.model(name, variant)
         for side in sides or self.sides():
             for share in (float(self.rng.uniform(0.3, 0.7)), *self.rng.uniform(0.0, 1.0, 5).tolist(), 0.0, 1.0):
-                x, y, yaw = wall_pose(model, self.area, side, share, gap)
+                x, y, yaw = wall_pose(model, self.area, side=side, along=share, gap=gap)
                 placed = (
                     None if self.plan.meets(model, x, y, yaw) else self.plan.place(model, x, y, yaw, None, clearance)
                 )
@@ -250,7 +262,7 @@ class Furnisher:
         turn: float = 0.0,
     ) -> None:
         """Places a small object on furniture, `along` and `back` metres from its centre, turned by `turn` radians."""
-        self._lay(self.model(name, variant), below, height, along, back, turn)
+        self._lay(self.model(name, variant), below, height=height, along=along, back=back, turn=turn)
 
     def _lay(
         self,
@@ -309,7 +321,7 @@ class Furnisher:
         piece, turned by `turn` radians."""
         c, s = math.cos(of.yaw), math.sin(of.yaw)
         x, y = of.x + c * along + s * reach, of.y + s * along - c * reach
-        return self.plan.seat(self.model(name, variant), x, y, of.yaw + math.pi + turn, self.area, of)
+        return self.plan.seat(self.model(name, variant), x, y=y, yaw=of.yaw + math.pi + turn, room=self.area, of=of)
 
     def corner(self, name: str, variant: int | None = None, clearance: float = 0.35) -> PropPlacement | None:
         """Places a piece in a free corner."""
@@ -331,7 +343,7 @@ class Furnisher:
         for name in self.to_hang:
             model = self.model(name)
             for side in self.sides() * 3:
-                x, y, yaw = wall_pose(model, self.area, side, float(self.rng.uniform(0.1, 0.9)), 0.0)
+                x, y, yaw = wall_pose(model, self.area, side=side, along=float(self.rng.uniform(0.1, 0.9)), gap=0.0)
                 at = x if side in "NS" else y
                 is_clear = all(abs(at - door) > _DOOR_M for door in self.room.doors.get(side, ()))
                 is_clear &= self.room.has_wall(side, at, _JOINT_M)
@@ -351,7 +363,9 @@ class Furnisher:
             spare = self.length(side) - sum(widths)
             for start in (0.02, spare / 2, spare - 0.02):
                 is_inside = 0.0 < start < spare
-                if is_inside and self.plan.is_free_strip(self.area, side, start, sum(widths), _WALL_ROW_DEPTH_M):
+                if is_inside and self.plan.is_free_strip(
+                    self.area, side, start=start, length=sum(widths), depth=_WALL_ROW_DEPTH_M
+                ):
                     ends = accumulate(widths, initial=start)
                     return (
                         side,
@@ -390,4 +404,6 @@ def complete(
         for clearance in (0.35, 0.1, 0.02):
             for number in plan.rng.permutation(len(rooms)):
                 if standing < least:
-                    standing += rooms[number].wall_piece(name, None, None, clearance, 0.03) is not None
+                    standing += (
+                        rooms[number].wall_piece(name, None, sides=None, clearance=clearance, gap=0.03) is not None
+                    )

@@ -197,7 +197,7 @@ def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle],
         is_loop = group[i] == group[j]
         if is_loop and not (specs[i].is_hub and specs[j].is_hub and rng.random() < doors.loops):
             continue
-        opening = _opening(rng, (i, j), specs, areas, doors)
+        opening = _opening(rng, (i, j), specs=specs, areas=areas, doors=doors)
         if opening is not None:
             openings.append(opening)
             group = [group[i] if g == group[j] else g for g in group]

@@ -78,11 +78,13 @@ def find_reachable(file: str, terrain: Terrain, shown: ShownScene, floor_m: floa
     if len(spawns) < MIN_SPAWNS:
         notes.append(f"only {len(spawns)} spawn points fit on {free_area_m2(terrain)} m2 of connected floor")
     points = spawns.astype(np.float64)
-    listed = list_targets(terrain, shown.candidates, shown.shapes(), shown.ids, points, floor_m, notes)
+    listed = list_targets(
+        terrain, shown.candidates, shapes=shown.shapes(), ids=shown.ids, spawns=points, floor_m=floor_m, notes=notes
+    )
     targets = apply_target_edits(listed, shown.chosen)
     if not targets:
         raise WorldError(_why_no_target(file, shown, terrain, notes))
-    named = with_colours(targets, shown.parts, shown.owners, shown.book, shown.uncoloured)
+    named = with_colours(targets, shown.parts, owners=shown.owners, book=shown.book, uncoloured=shown.uncoloured)
     targets = recoloured(named, shown.chosen)
     return Reachable(targets, spawns, sees_matrix(terrain, points, targets, TaskConfig()))
 

@@ -129,7 +129,16 @@ def show_parts(
     candidates = apply_candidate_edits(found_candidates, visible, chosen)
     owners = assign_objects(visible, [candidate.path for candidate in candidates], extraction.models)
     ids = number_objects(owners)
-    return ShownScene(visible, candidates, owners, ids, book, chosen, rules.uncoloured, has_materials)
+    return ShownScene(
+        visible,
+        candidates,
+        owners=owners,
+        ids=ids,
+        book=book,
+        chosen=chosen,
+        uncoloured=rules.uncoloured,
+        has_materials=has_materials,
+    )
 
 
 def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | None:

@@ -111,7 +111,9 @@ class Library:
             ]
         up = content.up if kind_of_file(mesh) == "glTF" else "z"  # Gazebo and RViz ignore up_axis of COLLADA
         matrix = np.asarray(to_world @ to_metres(content.metres_per_unit or 1.0, up or "z"))
-        place_content(self.files.scene, path, replace(content, shapes=shapes), matrix, is_collider)
+        place_content(
+            self.files.scene, path, content=replace(content, shapes=shapes), to_world=matrix, is_collider=is_collider
+        )
 
     def place_solid(
         self, path: str, kind: str, solid: Polygons | None, to_world: Floats, is_collider: bool, surface: Surface | None

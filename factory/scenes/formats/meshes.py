@@ -62,7 +62,7 @@ def read_ply(data: bytes, path: Path, files: SceneFiles) -> Content:
         name = texture[1].decode("utf-8", errors="replace").strip()
         surface = files.textured(Surface(colour=(1.0, 1.0, 1.0)), path.parent, name, path.name)
     values = None if uvs is None else np.asarray(uvs, np.float64)[corners]
-    piece = mesh_piece(points, corners, surface, values, _tints(mesh, corners))
+    piece = mesh_piece(points, corners, surface=surface, uvs=values, tints=_tints(mesh, corners))
     content = Content(metres_per_unit=None, up=None)
     content.shapes.append(ShapeNode(Names().path("", path.stem, "mesh"), (piece,), np.eye(4)))
     return content

@@ -43,7 +43,7 @@ def require_files(path: Path, files: SceneFiles) -> None:
         WorldError: files are missing, outside of the folders, or too large; the message names all.
     """
     elements: list[Element] = []
-    _collect(path, path.parent, files, elements, ())
+    _collect(path, path.parent, files=files, elements=elements, above=())
     folders = {"assetdir": "", "strippath": "false"}
     for element in elements:
         if element.tag == "compiler":
@@ -70,7 +70,7 @@ def _collect(path: Path, folder: Path, files: SceneFiles, elements: list[Element
     for include in root.iter("include"):
         place = place_of(folder, str(include.get("file") or ""))
         if files.is_usable(place, path.name):
-            _collect(place, folder, files, elements, (*above, path))
+            _collect(place, folder, files=files, elements=elements, above=(*above, path))
 
 
 _SHOWN_GROUPS = 3

@@ -130,7 +130,7 @@ def _piece(faces: _Faces, points: Floats, colours: Floats | None, uvs: Floats, s
     if all(len(part) > 1 and part[1] for part in parts):
         values = _values(uvs, np.array([part[1] for part in parts], np.int64) - 1)[cut.corners]
     tints = None if colours is None else colours[corners]
-    return mesh_piece(points, corners, surface, values, tints)
+    return mesh_piece(points, corners, surface=surface, uvs=values, tints=tints)
 
 
 def _values(uvs: Floats, rows: Ints) -> Floats:

@@ -135,9 +135,16 @@ def place_geometry(library: Library, shape: Element, path: Path, name: str, to_w
         scale = np.diag([*numbers(kind.findtext("scale"), (1, 1, 1)), 1.0])
         if mesh is not None:
             submesh = kind.findtext("submesh/name", "").strip()
-            library.place_mesh(name, mesh, np.asarray(to_world @ scale), is_collider, surface, submesh)
+            library.place_mesh(
+                name,
+                mesh,
+                to_world=np.asarray(to_world @ scale),
+                is_collider=is_collider,
+                surface=surface,
+                submesh=submesh,
+            )
         return
-    library.place_solid(name, kind.tag, _solid(kind), to_world, is_collider, surface)
+    library.place_solid(name, kind.tag, solid=_solid(kind), to_world=to_world, is_collider=is_collider, surface=surface)
 
 
 def _solid(kind: Element) -> Polygons | None:
@@ -251,7 +258,7 @@ def read_sdf(path: Path, files: SceneFiles) -> None:
         raise ValueError(f"its root element is <{root.tag}>, not <sdf>")
     if len(scopes) > 1:
         files.scene.notes.append(f"{len(scopes)} worlds; the first is read: {scopes[0].get('name')}")
-    _read_scope(reader, scopes[0], path, ROOT, np.eye(4), (path,))
+    _read_scope(reader, scopes[0], path=path, parent=ROOT, here=np.eye(4), above=(path,))
     files.require_all()
     for what, count in (+reader.counts).items():
         files.scene.notes.append(f"{count} {what}")
@@ -270,11 +277,11 @@ def _read_scope(
         try:
             place = np.asarray(here @ frames.pose_of(child))
             if child.tag == "include":
-                _read_include(reader, child, path, parent, place, above)
+                _read_include(reader, child, path=path, parent=parent, place=place, above=above)
             elif child.tag == "model":
-                _read_model(reader, child, path, (parent, child.get("name")), place, above)
+                _read_model(reader, child, path=path, named=(parent, child.get("name")), place=place, above=above)
             else:
-                _read_link(reader, child, path, parent, (frames, here, place))
+                _read_link(reader, child, path=path, parent=parent, poses=(frames, here, place))
         except BROKEN as error:
             reader.files.scene.notes.append(f"{parent}/{child.get('name') or child.tag}: skipped, {error}")
 
@@ -285,7 +292,7 @@ def _read_model(
     model_path = reader.names.path(*named, "model")
     nested = sum(child.tag in _MODELS for child in model)
     (reader.files.scene.groups if nested > 1 else reader.files.scene.models).add(model_path)
-    _read_scope(reader, model, path, model_path, place, above)
+    _read_scope(reader, model, path=path, parent=model_path, here=place, above=above)
 
 
 def _read_include(
@@ -313,7 +320,7 @@ def _read_include(
     if include.find("placement_frame") is not None:
         with_own = np.asarray(with_own @ np.linalg.inv(Frames(model).frame(text_of(include, "placement_frame"))))
     name = text_of(include, "name") or model.get("name")
-    _read_model(reader, model, location, (parent, name), with_own, (*above, location))
+    _read_model(reader, model, path=location, named=(parent, name), place=with_own, above=(*above, location))
 
 
 def _read_link(reader: _Reader, link: Element, path: Path, parent: str, poses: tuple[Frames, Floats, Floats]) -> None:
@@ -326,6 +333,6 @@ def _read_link(reader: _Reader, link: Element, path: Path, parent: str, poses: t
             shape_path = reader.names.path(link_path, shape.get("name"), kind)
             try:
                 to_world = np.asarray(model @ frames.pose_of(shape, base))
-                place_geometry(reader.library, shape, path, shape_path, to_world)
+                place_geometry(reader.library, shape, path=path, name=shape_path, to_world=to_world)
             except BROKEN as error:
                 reader.files.scene.notes.append(f"{shape_path}: skipped, {error}")

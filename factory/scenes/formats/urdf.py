@@ -62,7 +62,7 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
                 try:
                     surface = None if kind == "collision" else _surface(library, shape, materials, path, shape_path)
                     place = np.asarray(places[name] @ _origin(shape))
-                    _place_geometry(library, shape, path, shape_path, place, surface)
+                    _place_geometry(library, shape, path=path, name=shape_path, to_world=place, surface=surface)
                 except BROKEN as error:
                     files.scene.notes.append(f"{shape_path}: skipped, {error}")
     files.require_all()
@@ -136,9 +136,11 @@ def _place_geometry(
         mesh = library.locate(str(kind.get("filename") or ""), path.parent, name)
         scale = np.diag([*numbers(kind.get("scale"), (1, 1, 1)), 1.0])
         if mesh is not None:
-            library.place_mesh(name, mesh, np.asarray(to_world @ scale), is_collider, surface)
+            library.place_mesh(
+                name, mesh, to_world=np.asarray(to_world @ scale), is_collider=is_collider, surface=surface
+            )
         return
-    library.place_solid(name, kind.tag, _solid(kind), to_world, is_collider, surface)
+    library.place_solid(name, kind.tag, solid=_solid(kind), to_world=to_world, is_collider=is_collider, surface=surface)
 
 
 def _solid(kind: Element) -> Polygons | None:

@@ -89,7 +89,7 @@ def _polygon_mesh(prim: Any, notes: list[str]) -> ImportedMesh | None:
     if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
         cut = Triangulation(cut.corners[:, ::-1], cut.faces)
     two_sided = bool(mesh.GetDoubleSidedAttr().Get()) and not bounds_volume(points, indices[cut.corners])
-    return ImportedMesh(points, counts, indices, cut, two_sided)
+    return ImportedMesh(points, counts, indices=indices, cut=cut, is_two_sided=two_sided)
 
 
 def _without_holes(cut: Triangulation, holes: Any) -> Triangulation:

@@ -103,7 +103,10 @@ def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
     owner[texels.cell] = texels.chart
     cast, caster = texels.cast(), Caster(triangles)
     sky, open_spots = sky_light(caster, cast, FINE_SKY)
-    reached = [np.multiply(*lamp_light(caster, cast, open_spots, lamps.chosen(rows), FINE_LAMPS)) for rows in members]
+    reached = [
+        np.multiply(*lamp_light(caster, cast, open_spots=open_spots, lamps=lamps.chosen(rows), rays=FINE_LAMPS))
+        for rows in members
+    ]
     known = texel_mask(layout.shape, cast, np.asarray(open_spots.any(axis=1)))
     smooth, is_near = smooth_charts(texel_maps(layout.shape, cast, sky, *reached), known, owner)
     filled = fill_hidden(smooth, is_near, owner)
@@ -113,7 +116,7 @@ def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
         layout.shape, texels, *_indirect(lamps, members, is_strong, texels.place(np.arange(len(texels.chart))).middles)
     )
     shares = _shares(filled[0], filled[1:], bounced, is_near)
-    _light_lamps(shares, members, lamps, charts, owner, glow)
+    _light_lamps(shares, members, lamps=lamps, charts=charts, owner=owner, glow=glow)
     return LightGroups(info, _quantised(shares))
 
 

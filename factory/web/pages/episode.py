@@ -248,10 +248,10 @@ def _steps(episode: Episode, last: int) -> list[StepView]:
         StepView(
             step.number,
             step.text,
-            step.start,
-            min(step.end, last + 1) - 1,
-            WIDTH * step.start / (last + 1),
-            WIDTH * (min(step.end, last + 1) - step.start) / (last + 1),
+            first=step.start,
+            last=min(step.end, last + 1) - 1,
+            x=WIDTH * step.start / (last + 1),
+            width=WIDTH * (min(step.end, last + 1) - step.start) / (last + 1),
         )
         for step in episode.steps
     ]

@@ -44,7 +44,7 @@ def minimal_candidates(search: Search, rng: np.random.Generator) -> list[Express
     for head in search.heads():
         if head.masks.sure[search.number]:
             bare = -1 if head.is_bare else bits_of(search.facts.described(head.kind, None).possible)
-            candidates += _with_head(search, head, parts, own_bit, bare)
+            candidates += _with_head(search, head, parts=parts, target_bit=own_bit, bare=bare)
     return candidates
 
 

@@ -139,7 +139,9 @@ class Search:
         if Family.MATERIAL in self.families and each.materials[:1] and each.materials[0] in self.words.materials:
             looks.append((None, each.materials[0]))
         return [
-            ExpressionHead(kind, colour, self.facts.described(kind, colour, material), is_super, material)
+            ExpressionHead(
+                kind, colour, masks=self.facts.described(kind, colour, material), is_super=is_super, material=material
+            )
             for kind, is_super in kinds
             if self.words.names(kind)
             for colour, material in looks

@@ -119,7 +119,7 @@ class ViewFacts:
             near, far = (sign * left).min(axis=1), (sign * left).max(axis=1)
             aside = Masks(near >= limit.ROW_ASIDE_M.good, far > limit.ROW_ASIDE_M.bad)
             masks = here.both(aside).both(below(near, limit.ROW_GAP_M))
-            ways[side] = _Wayside(masks, middle, along.min(axis=1), along.max(axis=1), near)
+            ways[side] = _Wayside(masks, middle, low=along.min(axis=1), high=along.max(axis=1), near=near)
         return ways
 
     def row(self, among: Masks, side: ViewSide, number: int) -> list[int]:

@@ -61,13 +61,26 @@ def find_objects(scene: CompiledScene, table: Kinds) -> list[RawObject]:
             low, high = centre - half, centre + half
             outline = np.array(target.footprint_m) if target.footprint_m else _rectangle(low, high)
             objects.append(
-                _of_category(table, instance, target.category, low, high, outline, target.colour, target.target_id)
+                _of_category(
+                    table,
+                    instance,
+                    category=target.category,
+                    low=low,
+                    high=high,
+                    outline=outline,
+                    colour=target.colour,
+                    target_id=target.target_id,
+                )
             )
         elif instance.id not in boxes:
             continue
         elif instance.category is not None:
             low, high = boxes[instance.id]
-            objects.append(_of_category(table, instance, instance.category, low, high, _rectangle(low, high)))
+            objects.append(
+                _of_category(
+                    table, instance, category=instance.category, low=low, high=high, outline=_rectangle(low, high)
+                )
+            )
         else:
             key = _landmark_key(table, instance.prim_path.split("/"))
             if key is not None:
@@ -75,7 +88,7 @@ def find_objects(scene: CompiledScene, table: Kinds) -> list[RawObject]:
     for (kind, shows, _), ids in parts.items():
         low = np.min([boxes[number][0] for number in ids], axis=0)
         high = np.max([boxes[number][1] for number in ids], axis=0)
-        objects.append(RawObject(tuple(ids), kind, low, high, _rectangle(low, high), shows=shows))
+        objects.append(RawObject(tuple(ids), kind, low=low, high=high, outline=_rectangle(low, high), shows=shows))
     return objects
 
 

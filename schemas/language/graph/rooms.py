@@ -197,7 +197,7 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
         [((outline - centre) @ ways.T).max(axis=0) for centre, outline in zip(centres, outlines, strict=True)]
     ).reshape(-1, _DIRECTIONS)
     wall_gap = _gaps(walls, centres, ways, reach)
-    ahead = _gaps(walls, _in_front(walls, centres, ways, reach, wall_gap), ways, reach)
+    ahead = _gaps(walls, _in_front(walls, centres, ways=ways, reach=reach, gaps=wall_gap), ways, reach)
     # the normal of the wall is the direction in which the centre is nearest to it; a corner of the outline may be
     # nearest to a wall in a different direction
     rows, normal, quarter = np.arange(len(wall_gap)), (ahead + reach).argmin(axis=1), _DIRECTIONS // 4

@@ -303,7 +303,16 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     sight_grid = occupancy._replace(values=sight)
     inner = np.where(opening_gaps(walls, WIDE_M) < THRESHOLD_M, 0, area_grid.values)
     inner_grid = area_grid._replace(values=inner)
-    return SceneGraph(objects, rooms, types, room_grid, inner_grid, sight_grid, info.floor_height_m, table)
+    return SceneGraph(
+        objects,
+        rooms,
+        types=types,
+        room_grid=room_grid,
+        area_grid=inner_grid,
+        sight_grid=sight_grid,
+        floor_m=info.floor_height_m,
+        kinds=table,
+    )
 
 
 def _room_of_leaf(each: RawObject, walls: CellGrid, room_grid: CellGrid) -> int:

@@ -232,7 +232,9 @@ class _Answers:
             text = instructions[0] if instructions else None
             answer, reason = AnswerKind.YES, ReasonKind.ONE_FITS
         elif draw < 0.7:
-            wrong = self._composer.write_false_premise(scene, view, number, held_out, self._rng, language.code)
+            wrong = self._composer.write_false_premise(
+                scene, view, number=number, held_out=held_out, rng=self._rng, code=language.code
+            )
             text = None if wrong is None else wrong.text
         else:
             text, reason = self._several(number, language, held_out), ReasonKind.SEVERAL_FIT

@@ -34,7 +34,7 @@ def movements(place: SceneRoutes, path: DrivenPath, number: int) -> list[tuple[Q
     """
     found_movements = []
     for answer, start, end in _movements(place, path):
-        reason = _reason(place, path, number, answer, start, end)
+        reason = _reason(place, path, number=number, answer=answer, start=start, end=end)
         if reason is not None and end > start:
             found_movements.append(
                 (QuestionMeaning(kind=QuestionKind.NEXT, answer=answer, reason=reason), (start, end))

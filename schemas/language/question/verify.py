@@ -81,7 +81,7 @@ def image_fault(
         if meaning.reason in (ReasonKind.NONE_EXISTS, ReasonKind.NOT_IN_VIEW) or meaning.answer is AnswerKind.UNSEEN:
             return "the image shows such an object" if np.isin(ids, parts).sum() > _HIDDEN_PX else ""
         return ""
-    seen = see_objects(ids, images.depth(t), parts, camera, _CLEAR_PX)
+    seen = see_objects(ids, images.depth(t), objects=parts, camera=camera, min_pixels=_CLEAR_PX)
     if not any(_is_at(each, meaning) for each in seen):
         return "the image shows no such object at this side and distance" if seen else "the image shows no such object"
     return ""
@@ -160,7 +160,7 @@ class QuestionVerifier:
         fitting, fault = self._seen_fault(meaning, start)
         if fault or images is None:
             return fault
-        return image_fault(meaning, fitting, images, start, self._graph, self._camera)
+        return image_fault(meaning, fitting, images=images, t=start, graph=self._graph, camera=self._camera)
 
     def _seen_fault(self, meaning: QuestionMeaning, t: int) -> tuple[Collection[int], str]:
         """Returns the objects that question or answer may name, and why the answer about a view is wrong (empty if it

@@ -66,7 +66,7 @@ class RouteComposer:
             if len(texts) == self._spec.per_episode:
                 break
             spoken = self._spoken[draw_weighted(self._spec.languages, rng)]
-            steps = RouteSearch(place, path, number, spoken.nouns, rng).steps()
+            steps = RouteSearch(place, path, number=number, words=spoken.nouns, rng=rng).steps()
             if not steps:
                 self.rejected["no clear description"] += 1
                 break
@@ -91,7 +91,9 @@ class RouteComposer:
         register = draw_weighted(shares, rng)
         frames = [each for each in words.frames if (each.register, each.held_out) == (register, held_out)]
         frame: SentencePattern = frames[int(rng.integers(len(frames)))]
-        clauses = [words.clause(each.step, frame.case, held_out, spoken.nouns, rng) for each in steps]
+        clauses = [
+            words.clause(each.step, frame.case, held_out=held_out, nouns=spoken.nouns, rng=rng) for each in steps
+        ]
         register_words, text = words.registers[register], clauses[0]
         for place, clause in enumerate(clauses[1:], 1):
             joints = register_words.last if place == len(clauses) - 1 else register_words.joiners

@@ -334,7 +334,7 @@ class RouteSearch:
         if named is None:
             seen = ViewFacts(self._facts, self._view(start))
             families, words = _LATER if start else frozenset(Family), self._words.model_copy(update={"rooms": {}})
-            search = Search(self._place.scene.parts, seen, self._target, families, words)
+            search = Search(self._place.scene.parts, seen, number=self._target, families=families, words=words)
             fitting = minimal_expressions(search, self._rng)
             if not fitting:
                 return None

@@ -99,7 +99,7 @@ class RouteVerifier:
             case StepKind.DOOR:
                 return self._door_fault(step, replay, start, end)
             case _:
-                return self._object_fault(step, replay, start, end, target)
+                return self._object_fault(step, replay, start=start, end=end, target=target)
 
     def _unsaid(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> str:
         """Returns a fault if the span has a turn or a doorway that the step does not name; otherwise an empty text."""
@@ -163,7 +163,7 @@ class RouteVerifier:
         (number,) = fitting
         match step.kind:
             case StepKind.PAST:
-                return _pass_fault(step, replay, number, start, end)
+                return _pass_fault(step, replay, number=number, start=start, end=end)
             case StepKind.TOWARDS:
                 first, last = replay.relative(number, start), replay.relative(number, end - 1)
                 if abs(cmath.phase(first)) > limit.TOWARDS_RAD.good + 0.02:

@@ -96,7 +96,11 @@ class RouteWords(Model):
             for number, (text, held_out) in enumerate(whole, 1):
                 before, _, after = text.partition(_ROUTE)
                 name = f"{self.code}_route_{register}_{number:03d}"
-                frames.append(SentencePattern(name, register, held_out, before, register_words.form, after))
+                frames.append(
+                    SentencePattern(
+                        name, register, held_out=held_out, before=before, case=register_words.form, after=after
+                    )
+                )
         return tuple(frames)
 
     def clause(self, step: RouteStep, form: str, held_out: bool, nouns: Grammar, rng: np.random.Generator) -> str:

@@ -141,7 +141,14 @@ class Grammar(Model):
                 name = f"{self.code}_{register}_{number:03d}"
                 case = slot[2] or "nom"
                 sentences.append(
-                    SentencePattern(name, register, held_out, text[: slot.start()], case, text[slot.end() :])
+                    SentencePattern(
+                        name,
+                        register,
+                        held_out=held_out,
+                        before=text[: slot.start()],
+                        case=case,
+                        after=text[slot.end() :],
+                    )
                 )
         return (*sentences, *self._paraphrased())
 
@@ -151,7 +158,14 @@ class Grammar(Model):
                 slot = SLOT.search(text)
                 assert slot is not None, f"{text!r} has no slot"
                 name = f"{self.code}_paraphrase_{register}_{number:03d}"
-                yield SentencePattern(name, register, False, text[: slot.start()], slot[2] or "nom", text[slot.end() :])
+                yield SentencePattern(
+                    name,
+                    register,
+                    held_out=False,
+                    before=text[: slot.start()],
+                    case=slot[2] or "nom",
+                    after=text[slot.end() :],
+                )
 
     @cached_property
     def kinds(self) -> frozenset[str]:

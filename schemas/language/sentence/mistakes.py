@@ -45,7 +45,7 @@ def with_mistake(
     """
     for _ in range(0 if (code, kind) == ("zh", MistakeKind.TYPING) else _TRIES):
         changed = _mistyped(text, rng) if kind is MistakeKind.TYPING else _misspoken(text, code, rng)
-        if changed is not None and not mistake_fault(changed, text, kind, code, vocabulary):
+        if changed is not None and not mistake_fault(changed, text, kind=kind, code=code, vocabulary=vocabulary):
             return changed
     return None
 

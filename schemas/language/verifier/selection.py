@@ -28,7 +28,7 @@ def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[in
     way = Selected.MOST if size in (Size.TALLEST, Size.LARGEST) else Selected.LEAST
     if tall and not all(prints.has_same_base(one, two) for one, two in combinations(truths, 2)):
         return dict.fromkeys(truths, Truth.MAYBE)
-    return extreme(truths, values, way, limit.HEIGHT_RATIO if tall else limit.VOLUME_RATIO, 0.0)
+    return extreme(truths, values, way=way, ratio=limit.HEIGHT_RATIO if tall else limit.VOLUME_RATIO, gap=0.0)
 
 
 def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneView) -> dict[int, Truth]:

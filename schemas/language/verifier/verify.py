@@ -221,7 +221,7 @@ class Verifier:
                     number: min(truth, self._relations.is_in_room(number, view.room))
                     for number, truth in truths.items()
                 }
-                return counted_ahead(here, place, side, view, self._prints)
+                return counted_ahead(here, place, side=side, view=view, prints=self._prints)
             return counted(truths, place, side, view)
         if expression.size is not None:
             return by_size(truths, expression.size, self._prints)

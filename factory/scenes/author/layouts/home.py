@@ -83,7 +83,7 @@ def _living(furnisher: Furnisher) -> None:
     plan, rng, look = furnisher.plan, furnisher.rng, furnisher.palette.wood
     sides = furnisher.sides()
     for side, clearance in [(side, clearance) for clearance in (0.3, 0.05) for side in sides]:
-        media = furnisher.wall_piece("SM_TvUnit", look, side, clearance, 0.02)
+        media = furnisher.wall_piece("SM_TvUnit", look, sides=side, clearance=clearance, gap=0.02)
         if media is not None:
             furnisher.on_top("SM_TelevisionFlat", plan.pick(3), media, float(media.model.high[2]))
             _seats(furnisher, side, media)
@@ -177,7 +177,7 @@ def _kitchen(furnisher: Furnisher) -> None:
     """Places a row of units with sink, oven, dishwasher and refrigerator, and an island or a table if it fits."""
     plan, look = furnisher.plan, furnisher.palette.wood
     sides = furnisher.sides()
-    main = kitchen_row(furnisher, sides, look, _UNITS, ("SM_Microwave", "SM_CoffeeMachine"))
+    main = kitchen_row(furnisher, sides, look=look, names=_UNITS, tops=("SM_Microwave", "SM_CoffeeMachine"))
     rest = "".join(side for side in sides if side != main)
     if main is None:
         for name in ("SM_SinkUnit", "SM_Oven", "SM_Dishwasher"):
@@ -216,7 +216,7 @@ def _bedroom(furnisher: Furnisher) -> None:
         for turn in (-1.0, 1.0):
             stand = furnisher.beside("SM_NightStand", look, bed_placed, turn * (half + 0.32), 0.02)
             if stand is not None and rng.random() < 0.7:
-                furnisher.on_top("SM_LampSmall", look, stand, _top_of(stand), -0.08, 0.06)
+                furnisher.on_top("SM_LampSmall", look, below=stand, height=_top_of(stand), along=-0.08, back=0.06)
         size = (2.7, 1.5) if abs(math.cos(bed_placed.yaw)) > 0.5 else (1.5, 2.7)
         furnisher.carpet((bed_placed.x, bed_placed.y), *size, plan.pick(9) + 2)
     if furnisher.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
@@ -255,7 +255,7 @@ def _study(furnisher: Furnisher) -> None:
     desk = furnisher.wall_piece("SM_TableDesk_A", look, clearance=0.5, gap=0.05)
     if desk is not None:
         furnisher.on_top("SM_Monitor_A", plan.pick(3), desk, 0.745)
-        furnisher.on_top("SM_LampSmall", plan.pick(4), desk, 0.745, 0.5)
+        furnisher.on_top("SM_LampSmall", plan.pick(4), below=desk, height=0.745, along=0.5)
         furnisher.before("SM_ChairOffice_A", None, desk, 0.5)
     for number in range(2):
         furnisher.dress(
@@ -316,10 +316,10 @@ def lay_out_home(plan: FloorPlan) -> None:
     building = BuildingLook(
         _looks(palette),
         palette.trim,
-        palette.leaf,
-        palette.ceiling,
-        palette.views,
-        float(plan.rng.choice((2.5, 2.6, 2.75, 2.9))),
+        leaf=palette.leaf,
+        ceiling=palette.ceiling,
+        views=palette.views,
+        height=float(plan.rng.choice((2.5, 2.6, 2.75, 2.9))),
     )
     furnish_home(plan, build_rooms(plan, division, building), palette)
 
@@ -347,7 +347,7 @@ def _divide(rng: Generator) -> Division:
     width = math.sqrt(area * ratio)
     outline = Rectangle(0.0, 0.0, width, area / width + (hall or 0.0))
     doors = Doors(float(rng.uniform(1.0, 1.15)), _OPEN, float(rng.uniform(0.3, 1.0)))
-    return divide_floor(rng, outline, specs, doors, straight_hall(hall) if hall else no_hall)
+    return divide_floor(rng, outline, specs=specs, doors=doors, scheme=straight_hall(hall) if hall else no_hall)
 
 
 def _looks(palette: Palette) -> dict[str, RoomLook]:

@@ -215,13 +215,13 @@ def _reception(furnisher: Furnisher) -> None:
         x, y = furnisher.at_wall(side, share * furnisher.length(side), 1.75)
         placed = plan.place(furnisher.model("SM_Reception", variant), x, y, FACING[side], furnisher.area, 0.3)
         if placed is not None:
-            furnisher.before("SM_ChairOffice_A", None, placed, -0.75, 0.2, math.pi)
-            furnisher.on_top("SM_Monitor_A", None, placed, 0.74, -0.4, 0.05, math.pi)
+            furnisher.before("SM_ChairOffice_A", None, of=placed, reach=-0.75, along=0.2, turn=math.pi)
+            furnisher.on_top("SM_Monitor_A", None, below=placed, height=0.74, along=-0.4, back=0.05, turn=math.pi)
     for _ in range(2):
         furnisher.wall_piece("SM_Cabinet", plan.pick(3), side, 0.02)
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
     for _ in range(3 + plan.pick(3)):
-        furnisher.wall_piece(kind, look, None, 0.06, 0.1)
+        furnisher.wall_piece(kind, look, sides=None, clearance=0.06, gap=0.1)
     furnisher.corner("SM_Plant_A")
     furnisher.small(
         ("SM_TrashCan_A", "SM_FireExtinguisher_02", "SM_WaterDispenser", "SM_WheelChair", "SM_Plant_A"), 0.45
@@ -245,7 +245,7 @@ def _nurses(furnisher: Furnisher) -> None:
 def _staff(furnisher: Furnisher) -> None:
     """Places a row of kitchen units, a round table, a sofa and lockers."""
     units, machines = ("SM_SinkUnit", "SM_KitchenUnit", "SM_KitchenUnit"), ("SM_CoffeeMachine", "SM_Microwave")
-    kitchen_row(furnisher, furnisher.sides(), furnisher.palette.wood, units, machines)
+    kitchen_row(furnisher, furnisher.sides(), look=furnisher.palette.wood, names=units, tops=machines)
     furnisher.wall_piece("SM_Locker", furnisher.palette.cover, clearance=0.2)
     table = round_table(furnisher, furnisher.area.centre, "SM_ChairWood_D", furnisher.palette.wood)
     furnisher.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
@@ -290,7 +290,7 @@ def _hall(furnisher: Furnisher) -> None:
     plan = furnisher.plan
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
     for _ in range(plan.pick(4)):
-        furnisher.wall_piece(kind, look, None, 0.06, 0.1)
+        furnisher.wall_piece(kind, look, sides=None, clearance=0.06, gap=0.1)
     names = ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_WheelChair", "SM_Trolley", "SM_Bench", "SM_WaterDispenser"]
     if max(furnisher.area.width, furnisher.area.depth) > 9.0:
         names += ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_Plant_A"]
@@ -320,7 +320,9 @@ def lay_out_hospital(plan: FloorPlan) -> None:
     """
     palette, rng = draw_palette(plan.rng, CLINIC), plan.rng
     ceiling, height = _CEILINGS[plan.pick(len(_CEILINGS))], float(rng.choice((2.7, 2.8, 3.0)))
-    building = BuildingLook(_looks(palette, plan), _trim(plan), palette.leaf, ceiling, palette.views, height)
+    building = BuildingLook(
+        _looks(palette, plan), _trim(plan), leaf=palette.leaf, ceiling=ceiling, views=palette.views, height=height
+    )
     rooms = build_rooms(plan, _divide(plan), building)
     if rng.random() < 0.6:
         _guide_lines(plan, rooms)
@@ -336,7 +338,9 @@ def _divide(plan: FloorPlan) -> Division:
     schemes = (spine_hall, t_hall, l_hall, l_hall, ring_hall, ring_hall)
     doors = Doors(float(rng.uniform(1.25, 1.45)), _OPEN, float(rng.uniform(0.2, 0.8)))
     scheme = schemes[plan.pick(len(schemes))](hall)
-    return turned(rng, divide_floor(rng, Rectangle(0.0, 0.0, width, area / width), specs, doors, scheme))
+    return turned(
+        rng, divide_floor(rng, Rectangle(0.0, 0.0, width, area / width), specs=specs, doors=doors, scheme=scheme)
+    )
 
 
 def _program(plan: FloorPlan) -> list[RoomSpec]:
@@ -370,7 +374,7 @@ def _trim(plan: FloorPlan) -> Trim:
         return Trim(skirting=skirting, frame=frame[plan.pick(5)])
     tint = _DADOS[plan.pick(len(_DADOS))]
     rail = (wood("Pale"), wood("Oak"), painted("LightGrey", 0.5), None)[plan.pick(4)]
-    dado = tinted("Plaster", f"DadoPlaster{tint[1:]}", tint, 1.0, 0.6)
+    dado = tinted("Plaster", f"DadoPlaster{tint[1:]}", colour=tint, tile_m=1.0, roughness=0.6)
     return Trim(rail, dado, float(plan.rng.choice((0.8, 1.0, 1.2))), skirting, frame=frame[plan.pick(5)])
 
 
@@ -380,7 +384,7 @@ def _looks(palette: Palette, plan: FloorPlan) -> dict[str, RoomLook]:
     dry = (palette.stone, palette.pile)[plan.pick(2)]
 
     def look(floor: SurfaceMaterial, number: int, windows: int) -> RoomLook:
-        return RoomLook(floor, paints[number], windows, None, window, pitch)
+        return RoomLook(floor, paints[number], windows=windows, curtain=None, window=window, window_pitch_m=pitch)
 
     return {
         "ward": look(palette.pile, 0, 2),
@@ -392,7 +396,7 @@ def _looks(palette: Palette, plan: FloorPlan) -> dict[str, RoomLook]:
         "consulting": look(palette.boards, 4, 1),
         "store": look(palette.stone, 5, 0),
         "wash": RoomLook(palette.stone, palette.tiles, 0),
-        HALL: RoomLook(palette.pile, paints[3], 4, None, window, max(pitch, 3.2)),
+        HALL: RoomLook(palette.pile, paints[3], windows=4, curtain=None, window=window, window_pitch_m=max(pitch, 3.2)),
     }
 
 

@@ -132,7 +132,7 @@ def _wall_desks(furnisher: Furnisher, chair: int) -> None:
     for _ in range(int((furnisher.area.width + furnisher.area.depth) / 2.2)):
         workplace(
             furnisher,
-            furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, None, 0.35, 0.06),
+            furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, sides=None, clearance=0.35, gap=0.06),
             chair,
             is_second=True,
         )
@@ -141,7 +141,7 @@ def _wall_desks(furnisher: Furnisher, chair: int) -> None:
             furnisher.model("SM_TableMeeting_B"), *furnisher.area.centre, 0.0, furnisher.area, 1.0
         )
         if table is not None:
-            chairs_around(furnisher, table, "SM_ChairVisitor_C", chair, 0.7)
+            chairs_around(furnisher, table, kind="SM_ChairVisitor_C", look=chair, share=0.7)
             _on_table(furnisher, table)
     else:
         x, y = furnisher.area.centre
@@ -152,7 +152,9 @@ def _on_table(furnisher: Furnisher, table: PropPlacement) -> None:
     """Adds things to both halves of a meeting table, beside the sockets in its middle."""
     for along in (-0.5, 0.45):
         if furnisher.is_wanted() and furnisher.rng.random() < 0.7:
-            furnisher.on_top(_ON_TABLES[furnisher.plan.pick(len(_ON_TABLES))], None, table, _MEETING_M, along)
+            furnisher.on_top(
+                _ON_TABLES[furnisher.plan.pick(len(_ON_TABLES))], None, below=table, height=_MEETING_M, along=along
+            )
 
 
 def _private(furnisher: Furnisher) -> None:
@@ -165,7 +167,7 @@ def _private(furnisher: Furnisher) -> None:
         x, y = furnisher.at_wall(front, float(rng.uniform(0.4, 0.6)) * furnisher.length(front), 1.35)
         desk = plan.place(furnisher.model("SM_TableDesk_A", look), x, y, FACING[_OPPOSITE[front]], furnisher.area, 0.5)
         if desk is not None:
-            furnisher.before("SM_ChairVisitor_C", chair, desk, -0.85, 0.35, math.pi)
+            furnisher.before("SM_ChairVisitor_C", chair, of=desk, reach=-0.85, along=0.35, turn=math.pi)
     workplace(
         furnisher, desk or furnisher.wall_piece("SM_TableDesk_A", look, clearance=0.5, gap=0.06), chair, is_second=True
     )
@@ -197,7 +199,7 @@ def _meeting(furnisher: Furnisher) -> None:
         places = [(x + s * math.cos(yaw), y + s * math.sin(yaw)) for s in ((-0.98, 0.98) if is_double else (0.0,))]
         tables = [plan.place(table, *place, yaw, furnisher.area, 0.01 if is_double else 0.5) for place in places]
         for table_placed in filter(None, tables):
-            chairs_around(furnisher, table_placed, kind, look, 0.85)
+            chairs_around(furnisher, table_placed, kind=kind, look=look, share=0.85)
             _on_table(furnisher, table_placed)
     furnisher.hang("SM_Television")
     furnisher.dress(furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, clearance=0.35), _ON_BOARDS, 2)
@@ -232,7 +234,7 @@ def _kitchen(furnisher: Furnisher) -> None:
     """Places a row of units with a sink and a dishwasher, a refrigerator, and round tables or a counter with stools."""
     plan, rng, look = furnisher.plan, furnisher.rng, furnisher.palette.wood
     sides = furnisher.sides()
-    main = kitchen_row(furnisher, sides, look, _UNITS, ("SM_Microwave", "SM_CoffeeMachine"))
+    main = kitchen_row(furnisher, sides, look=look, names=_UNITS, tops=("SM_Microwave", "SM_CoffeeMachine"))
     furnisher.wall_piece("SM_Refrigerator", None, "".join(side for side in sides if side != main), 0.05)
     chair = ("SM_ChairWood_D", "SM_ChairWaiting_E")[plan.pick(2)]
     is_along_x = furnisher.area.width >= furnisher.area.depth
@@ -242,7 +244,7 @@ def _kitchen(furnisher: Furnisher) -> None:
         )
         if island is not None:
             for shift in (-0.4, 0.4):
-                furnisher.before("SM_Stool_F", 1, island, 0.62, shift)
+                furnisher.before("SM_Stool_F", 1, of=island, reach=0.62, along=shift)
     else:
         for share in (0.3, 0.7) if max(furnisher.area.width, furnisher.area.depth) > 5.0 else (0.5,):
             x = furnisher.area.x0 + (share if is_along_x else float(rng.uniform(0.4, 0.6))) * furnisher.area.width
@@ -265,7 +267,9 @@ def _reception(furnisher: Furnisher) -> None:
         x, y = furnisher.at_wall(side, float(furnisher.rng.uniform(0.4, 0.6)) * furnisher.length(side), 1.75)
         placed = plan.place(counter, x, y, FACING[side], furnisher.area, clearance)
         if placed is not None:
-            furnisher.before("SM_ChairOffice_A", furnisher.palette.cover, placed, -0.75, 0.2, math.pi)
+            furnisher.before(
+                "SM_ChairOffice_A", furnisher.palette.cover, of=placed, reach=-0.75, along=0.2, turn=math.pi
+            )
             furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, side, 0.02)
             break
     seat_group(furnisher, rug=0)
@@ -364,7 +368,9 @@ def lay_out_office(plan: FloorPlan) -> None:
     """
     palette, rng = draw_palette(plan.rng, OFFICE), plan.rng
     ceiling, height = _CEILINGS[plan.pick(len(_CEILINGS))], float(rng.choice((2.7, 2.8, 3.0, 3.3)))
-    building = BuildingLook(_looks(palette, plan), palette.trim, palette.leaf, ceiling, palette.views, height)
+    building = BuildingLook(
+        _looks(palette, plan), palette.trim, leaf=palette.leaf, ceiling=ceiling, views=palette.views, height=height
+    )
     rooms = build_rooms(plan, _divide(plan), building)
     furnish_office(plan, rooms, palette, float(rng.uniform(0.55, 1.0)))
 
@@ -378,7 +384,7 @@ def _divide(plan: FloorPlan) -> Division:
     scheme = _scheme(plan, len(specs), area, hall)
     outline = Rectangle(0.0, 0.0, width, area / width)
     doors = Doors(float(rng.uniform(1.0, 1.25)), _OPEN, float(rng.uniform(0.2, 0.9)))
-    return turned(rng, divide_floor(rng, outline, specs, doors, scheme))
+    return turned(rng, divide_floor(rng, outline, specs=specs, doors=doors, scheme=scheme))
 
 
 def _scheme(plan: FloorPlan, rooms: int, area_m2: float, hall_m: float) -> Scheme:
@@ -422,7 +428,7 @@ def _looks(palette: Palette, plan: FloorPlan) -> dict[str, RoomLook]:
     dry = (palette.stone, palette.boards, pile)[plan.pick(3)]
 
     def look(floor: SurfaceMaterial, number: int, windows: int, drape: int | None = None) -> RoomLook:
-        return RoomLook(floor, paints[number], windows, drape, window, pitch)
+        return RoomLook(floor, paints[number], windows=windows, curtain=drape, window=window, window_pitch_m=pitch)
 
     return {
         "open": look(pile, 0, 5),
@@ -435,5 +441,5 @@ def _looks(palette: Palette, plan: FloorPlan) -> dict[str, RoomLook]:
         "print": look(palette.stone, 5, 1),
         "store": look(palette.stone, 5, 0),
         "wash": RoomLook(palette.stone, palette.tiles, 0),
-        "hall": RoomLook(dry, paints[5], 4, None, window, max(pitch, 3.0)),
+        "hall": RoomLook(dry, paints[5], windows=4, curtain=None, window=window, window_pitch_m=max(pitch, 3.0)),
     }

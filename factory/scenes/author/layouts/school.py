@@ -36,7 +36,12 @@ def lay_out_school(plan: FloorPlan) -> None:
     palette = draw_palette(plan.rng, PUBLIC)
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
     building = BuildingLook(
-        _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.8, 3.3))
+        _looks(palette),
+        palette.trim,
+        leaf=palette.leaf,
+        ceiling=ceiling,
+        views=palette.views,
+        height=float(plan.rng.uniform(2.8, 3.3)),
     )
     rooms = build_rooms(plan, _divide(plan), building)
     kinds = {
@@ -63,7 +68,9 @@ def _divide(plan: FloorPlan) -> Division:
     area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.3, 1.9))
     width = math.sqrt(area * ratio)
     doors = Doors(float(rng.uniform(1.15, 1.4)), {frozenset(("library", "hall")): (1.6, 2.4)}, 0.0)
-    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), specs, doors, straight_hall(hall))
+    return divide_floor(
+        rng, Rectangle(0.0, 0.0, width, area / width + hall), specs=specs, doors=doors, scheme=straight_hall(hall)
+    )
 
 
 def _looks(palette: Palette) -> dict[str, RoomLook]:
@@ -91,7 +98,9 @@ def _class(furnisher: Furnisher) -> None:
     if desk is not None:
         furnisher.before("SM_ChairOffice_A", None, desk, -0.6)
         furnisher.on_top("SM_Laptop", None, desk, 0.76)
-        furnisher.on_top(("SM_Globe", "SM_Papers", "SM_BookPile")[plan.pick(3)], None, desk, 0.76, 0.45)
+        furnisher.on_top(
+            ("SM_Globe", "SM_Papers", "SM_BookPile")[plan.pick(3)], None, below=desk, height=0.76, along=0.45
+        )
     if board is None:
         furnisher.wall_piece("SM_Whiteboard_A", clearance=0.2)
     _desks(furnisher, front, depth)
@@ -120,7 +129,7 @@ def _desks(furnisher: Furnisher, front: str, depth: float) -> None:
             if desk is None:
                 continue
             if rng.random() < 0.35:
-                furnisher.on_top(("SM_Papers", "SM_BookPile")[plan.pick(2)], None, desk, 0.72, 0.3)
+                furnisher.on_top(("SM_Papers", "SM_BookPile")[plan.pick(2)], None, below=desk, height=0.72, along=0.3)
             for shift in (-0.3, 0.3):
                 if rng.random() < 0.88:
                     seat = (
@@ -145,8 +154,8 @@ def _library(furnisher: Furnisher) -> None:
             furnisher.plan.place(
                 furnisher.model("SM_ChairWood_D", furnisher.palette.wood), x, y, yaw, furnisher.area, 0.0, True
             )
-        furnisher.on_top("SM_Laptop", None, table, 0.75, 0.5)
-        furnisher.on_top("SM_Monitor_A", None, table, 0.75, -0.45)
+        furnisher.on_top("SM_Laptop", None, below=table, height=0.75, along=0.5)
+        furnisher.on_top("SM_Monitor_A", None, below=table, height=0.75, along=-0.45)
     furnisher.carpet(
         (furnisher.area.x0 + 0.3 * furnisher.area.width, furnisher.area.y0 + 0.3 * furnisher.area.depth), 2.2, 2.2
     )
@@ -191,7 +200,9 @@ def _staff(furnisher: Furnisher) -> None:
     desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.4, gap=0.05)
     if desk is not None:
         furnisher.on_top("SM_Monitor_A", None, desk, 0.745)
-        furnisher.on_top(("SM_Papers", "SM_BookPile")[furnisher.plan.pick(2)], None, desk, 0.745, 0.42)
+        furnisher.on_top(
+            ("SM_Papers", "SM_BookPile")[furnisher.plan.pick(2)], None, below=desk, height=0.745, along=0.42
+        )
         furnisher.before("SM_ChairOffice_A", None, desk, 0.5)
     furnisher.wall_piece("SM_Locker", clearance=0.2)
     furnisher.small(("SM_Copier", "SM_WaterDispenser", "SM_TrashCan_A", "SM_Plant_A"), 0.35)

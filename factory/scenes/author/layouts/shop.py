@@ -45,7 +45,12 @@ def lay_out_shop(plan: FloorPlan) -> None:
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
     building = BuildingLook(
-        _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.9, 3.4))
+        _looks(palette),
+        palette.trim,
+        leaf=palette.leaf,
+        ceiling=ceiling,
+        views=palette.views,
+        height=float(plan.rng.uniform(2.9, 3.4)),
     )
     rooms = build_rooms(plan, _divide(plan), building)
     furnishers = [Furnisher(plan, room, palette) for room in rooms]
@@ -171,7 +176,7 @@ def _annex(furnisher: Furnisher, trade: str) -> None:
         furnisher.carpet(furnisher.area.centre, 2.4, 2.4, 1)
         counter = furnisher.wall_piece("SM_CounterIsland", clearance=0.6)
         if counter is not None:
-            furnisher.on_top("SM_CoffeeMachine", None, counter, 0.92, 0.3)
+            furnisher.on_top("SM_CoffeeMachine", None, below=counter, height=0.92, along=0.3)
         furnisher.wall_piece("SM_FreezerUpright", furnisher.palette.cover, clearance=0.1)
     for _ in range(2):
         furnisher.wall_piece("SM_ShelfShop_C", furnisher.palette.wood, clearance=0.1)
@@ -198,7 +203,9 @@ def _office(furnisher: Furnisher, _trade: str) -> None:
     if desk is not None:
         furnisher.on_top("SM_Monitor_A", None, desk, 0.745)
         furnisher.before("SM_ChairOffice_A", None, desk, 0.5)
-        furnisher.on_top(("SM_Papers", "SM_Portrait")[furnisher.plan.pick(2)], None, desk, 0.745, 0.42)
+        furnisher.on_top(
+            ("SM_Papers", "SM_Portrait")[furnisher.plan.pick(2)], None, below=desk, height=0.745, along=0.42
+        )
     furnisher.dress(
         furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, clearance=0.3),
         ("SM_Papers", "SM_BookRow", "SM_Kettle"),

@@ -307,11 +307,13 @@ def lay_out_multiple_shelves(plan: FloorPlan) -> None:
 def _lay_out(plan: FloorPlan, kind: HallKind, size: _Size) -> None:
     palette, rng = draw_palette(plan.rng, HALL_FINISHES), plan.rng
     kick = _KICKS[plan.pick(len(_KICKS))]
-    dado = tinted("Plaster", f"KickPlaster{kick[1:]}", kick, 1.0, 0.8)
+    dado = tinted("Plaster", f"KickPlaster{kick[1:]}", colour=kick, tile_m=1.0, roughness=0.8)
     frame = (painted("Grey", 0.5), painted("Charcoal", 0.5), painted("Yellow", 0.5))[plan.pick(3)]
     trim = Trim(None, dado, float(rng.choice((0.8, 1.1, 1.4))), has_sockets=False, frame=frame)
     height = float(rng.uniform(*size.height_m))
-    building = BuildingLook(_looks(palette), trim, palette.leaf, "girders", palette.views, height)
+    building = BuildingLook(
+        _looks(palette), trim, leaf=palette.leaf, ceiling="girders", views=palette.views, height=height
+    )
     rooms = build_rooms(plan, _divide(plan, float(rng.uniform(*size.hall_m2))), building)
     furnish_warehouse(plan, rooms, palette, kind)
 
@@ -346,7 +348,7 @@ def _divide(plan: FloorPlan, hall_m2: float) -> Division:
         if rng.random() < share:
             specs.append(RoomSpec(kind, float(rng.uniform(low, high)), least))
     doors = Doors(float(rng.uniform(1.1, 1.35)), {}, 0.0)
-    return turned(rng, divide_floor(rng, outline, specs, doors, _parts_of_a_hall))
+    return turned(rng, divide_floor(rng, outline, specs=specs, doors=doors, scheme=_parts_of_a_hall))
 
 
 def _parts_of_a_hall(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement:

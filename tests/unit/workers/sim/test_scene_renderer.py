@@ -21,6 +21,6 @@ def test_a_renderer_of_one_scene_frees_it_before_it_loads_another(tmp_path: Path
             path.write_bytes(data)
             digests.append(hashlib.sha256(data).hexdigest())
             stage.load(path, digests[-1])
-        assert stage.loaded(digests[1]).scene.info is not None
+        assert stage.loaded(digests[1]).compiled.info is not None
         with pytest.raises(KeyError):
             stage.loaded(digests[0])
