@@ -25,6 +25,7 @@ from factory.cli.options import (
     verbose_option,
 )
 from schemas.errors import UsageError
+from schemas.support.shell import quoted
 
 _POLL_S = 0.5
 """Pause between two checks of the coordinator while it stays after its run, seconds."""
@@ -212,7 +213,7 @@ def _print_end(site: Site, progress: Progress) -> int:
     from factory.runs.summary import print_missing
 
     if not progress.finished:
-        click.echo(f"stopped; continue with: factory coordinator start --out {site}", err=True)
+        click.echo(f"stopped; continue with: factory coordinator start --out {quoted(site)}", err=True)
         return 0
     click.echo("finished", err=True)
     print_missing(site, progress)

@@ -37,6 +37,7 @@ from schemas.storage.place import Place
 from schemas.support.child import child_environment, python_module
 from schemas.support.closing import Closing
 from schemas.support.jsonl_process import JsonlProcess, describe_exit
+from schemas.support.shell import quoted
 from schemas.terms import RendererKind
 from workers.client.spool import find_bundle, folder_of
 from workers.experts import require_expert
@@ -124,9 +125,9 @@ class LocalRun:
         rig += "" if self.appearance is None else f" --appearance {self.appearance}"
         shard = "" if self.shard is None else f" --shard {self.shard}"
         return (
-            f"factory run{shard} --out {site}"
+            f"factory run{shard} --out {quoted(site)}"
             if self.states is None
-            else f"factory render {self.states}{rig} -o {site}"
+            else f"factory render {quoted(self.states)}{rig} -o {quoted(site)}"
         )
 
 
@@ -199,7 +200,8 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     host, site = barred[0], run.store or run.root
     raise WorldError(
         f"host {host.host} is barred after {host.strikes} failures, last: {host.reason}; {progress.missing} of "
-        f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release {site} {host.host}` "
+        f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release "
+        f"{quoted(site)} {host.host}` "
         f"and `{run.command}`"
     )
 
