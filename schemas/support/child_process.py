@@ -322,7 +322,8 @@ class _Running(Generic[M]):
             os.killpg(pid, signal.SIGKILL)
         is_reaped = self.wait(reap_s)
         if not is_reaped:
-            threading.Thread(target=self.popen.wait, name=f"reap-{pid}", daemon=True).start()
+            with contextlib.suppress(RuntimeError):  # no thread can start while the interpreter exits
+                threading.Thread(target=self.popen.wait, name=f"reap-{pid}", daemon=True).start()
         end = Ended(
             pid,
             status=self.popen.returncode if is_reaped else -signal.SIGKILL,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -20,6 +21,14 @@ from tests.builders.process_state import is_gone
 LONG_S = 60.0
 ECHO = "import sys\nfor line in sys.stdin: print(line, end='')"
 SILENT = "import sys; sys.stdin.read()"
+OWNER = f"""
+import os, sys, time
+from schemas.support.child_process import ChildProcess
+process = ChildProcess(bytes)
+process.start((sys.executable, "-c", {SILENT!r}), os.environ)
+print(process.pid, flush=True)
+time.sleep(600)
+"""
 Start = Callable[..., ChildProcess[bytes]]
 
 
@@ -248,6 +257,19 @@ def test_children_that_a_process_leaves_behind_are_killed(start: Start) -> None:
     assert end_of(process).status == 0
     assert isinstance(grandchild, bytes)
     assert ends(int(grandchild))
+
+
+def test_the_input_of_a_process_ends_when_its_owner_is_killed() -> None:
+    with subprocess.Popen((sys.executable, "-c", OWNER), stdout=subprocess.PIPE) as owner:
+        assert owner.stdout is not None
+        pid = int(owner.stdout.readline())
+        owner.kill()
+    assert ends(pid)
+
+
+def test_a_process_has_its_own_session_so_a_terminal_does_not_interrupt_it(start: Start) -> None:
+    process = start(SILENT)
+    assert os.getsid(process.pid or 0) == process.pid
 
 
 def test_a_process_may_exit_by_itself_when_its_input_ends(start: Start) -> None:
