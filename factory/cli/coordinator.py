@@ -26,6 +26,9 @@ from factory.cli.options import (
 )
 from schemas.errors import UsageError
 
+_POLL_S = 0.5
+"""Pause between two checks of the coordinator while it stays after its run, seconds."""
+
 if TYPE_CHECKING:
     import threading
 
@@ -190,7 +193,8 @@ def _serve(
         _print_endpoints(coordinator, plan, site, options.guard)
         finished = coordinator.wait(stop=stop)
         if stay:
-            stop.wait()
+            while not stop.wait(_POLL_S):
+                coordinator.is_finished()  # raises an error of the coordinator itself
         elif finished:
             coordinator.wait_for_workers_to_disconnect(stop)
         progress = coordinator.progress()

@@ -38,6 +38,7 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     from coordinator.expansion.balance import planned_categories
     from coordinator.expansion.plan_file import load_plan
     from coordinator.expansion.possible import find_impossible
+    from coordinator.expansion.scene_cells import each_scene
     from coordinator.expansion.sentences import find_missing_instructions
     from coordinator.expansion.summary import summarise
     from factory.runs import plan_text
@@ -54,7 +55,7 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     mistakes = None if unknown else find_impossible(fixed, catalog)
     content = summarise(plan, catalog) if mistakes == [] and not has_families else None
     in_layouts = dict(planned_categories(plan).most_common())
-    mistakes = find_missing_instructions(fixed, catalog) if mistakes == [] else mistakes
+    mistakes = find_missing_instructions(fixed, each_scene(fixed, catalog)) if mistakes == [] else mistakes
     corners = {} if content is None else plan_text.corner_shares(plan, catalog)
     if as_json:
         quotas = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": plan_text.cell_rows(plan)}

@@ -172,6 +172,7 @@ def run_locally(
             return progress
         with _open_pool(run, coordinator.endpoints[0], progress.missing) as pool:
             while not (progress.finished or stop.wait(_POLL_S)):
+                coordinator.is_finished()  # raises an error of the coordinator itself
                 progress = coordinator.progress()
                 tell(progress)
                 pool.restart_dead(progress.jobs.get("archived", 0))
