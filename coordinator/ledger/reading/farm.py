@@ -17,9 +17,8 @@ from coordinator.ledger.administration import RecordedRequest, read_requests
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.hosts import read_memory
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.states import event_name
 from coordinator.ledger.tables import BUILD, attempts, events, jobs, workers
-from coordinator.ledger.tallies import job_counts
+from coordinator.ledger.tallies import JOB_COUNTS
 from schemas.protocol.messages import HostMemory
 
 _RECENT_ATTEMPTS = 20_000
@@ -126,7 +125,7 @@ def _recent() -> ColumnElement[bool]:
 
 def _cells(connection: Connection) -> dict[tuple[str, str, str], dict[str, int]]:
     found: defaultdict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
-    for row in connection.execute(job_counts(connection)):
+    for row in connection.execute(JOB_COUNTS):
         if not row.superseded and row.jobs:
             found[row.scene, row.tier, row.split][row.state] += row.jobs
     return {cell: dict(found[cell]) for cell in sorted(found)}
@@ -150,7 +149,7 @@ def _events(connection: Connection) -> tuple[FarmEvent, ...]:
             row.idx,
             row.scene,
             row.tier == BUILD,
-            event_name(row.event),
+            row.event,
             row.state,
             row.attempt,
             row.sid,
