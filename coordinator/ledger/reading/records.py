@@ -157,7 +157,7 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
     for row in connection.execute(query):
         _require_text(row)
         state, at = JobState(row.state), _utc(row.at)
-        yield EventRecord(row.draw, row.attempt, row.event, state, row.sid, row.detail, at)
+        yield EventRecord(row.draw, row.attempt, event=row.event, state=state, worker=row.sid, detail=row.detail, at=at)
 
 
 def read_archived(connection: Connection) -> frozenset[int]:
