@@ -1,7 +1,7 @@
 """`make release`: builds source distribution and wheel of the current commit, and tests them. Uploads nothing.
 
-Usage: python -m tests.install.release DIST --twine TWINE [--tag TAG]. Only committed files are contained. Both files are
-built twice, the wheel also from the source distribution, and the bytes must be equal: the times in the archives are
+Usage: python -m tests.install.release DIST --twine TWINE [--tag TAG]. Only committed files are contained. Both files
+are built twice, the wheel also from the source distribution, and the bytes must be equal: the times in the archives are
 that of the commit (`SOURCE_DATE_EPOCH`). The wheel is installed into a new environment, where it reads a dataset.
 """
 
