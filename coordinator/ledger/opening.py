@@ -47,7 +47,7 @@ _INSERT_ROWS = 5000
 _MOST_DIFFERENCES, _VALUE_CHARS = 12, 60
 _DIGITS = re.compile("[0-9]{1,9}")
 _SCENES = TypeAdapter(dict[str, Sha256])
-_SANDBOX, _SHARD = "sandbox", "shard"
+_SANDBOX, _SHARD, _OPENED = "sandbox", "shard", "opened_at"
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
 _BUILDING = select(jobs.c.scene).where(jobs.c.tier == BUILD)
 _IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction")
@@ -69,6 +69,8 @@ class LedgerInfo:
     """Duration of a lease, seconds."""
     created_at: datetime
     """Creation time of the run."""
+    opened_at: datetime
+    """Time at which a coordinator last opened the run."""
     sandbox: tuple[str, ...] = ()
     """Active sandbox layers of the validating processes; empty if none was started."""
     shard: RunShard | None = None
@@ -120,7 +122,7 @@ def open_run(
             _check_is_ours(recorded, plan, catalog, {**recorded.scenes, **recorded.layouts})
             require_shard(recorded.shard, shard)
             install_tallies(connection)
-            write_info(connection, {"lease_ttl_s": str(lease_ttl_s)})
+            write_info(connection, {"lease_ttl_s": str(lease_ttl_s), _OPENED: now.isoformat()})
             return False
         unbuilt = unbuilt_layouts(plan, catalog) if planned is None else []
         planned = expand_each(plan, catalog) if planned is None else planned
@@ -227,6 +229,7 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
         sandbox=tuple(facts.get(_SANDBOX, "").split()),
         shard=parse_shard(facts[_SHARD]) if _SHARD in facts else None,
         episodes=int(facts[PLANNED_EPISODES]) if PLANNED_EPISODES in facts else None,
+        opened_at=datetime.fromisoformat(facts.get(_OPENED, facts["created_at"])),
     )
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
 
 from coordinator.ledger import claims
-from coordinator.ledger.database.engine import open_reader, open_writer, write_closed_digest
+from coordinator.ledger.database.engine import open_reader, open_writer, share_finished, write_closed_digest
 from coordinator.ledger.database.writer import Writer
 from coordinator.ledger.reading.progress import count_frames, read_progress
-from coordinator.ledger.reading.reader import Connection, translate_damage
+from coordinator.ledger.reading.reader import Connection, open_ledger, translate_damage
 from schemas.errors import WorldError
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
@@ -79,3 +80,9 @@ class RunLedger(Closing):
         self._stack.close()
         if self._is_usable and not self.writer.damage:
             write_closed_digest(self._url)
+            self._share_if_finished()
+
+    def _share_if_finished(self) -> None:
+        with contextlib.suppress(WorldError), open_ledger(self._url) as connection:
+            if not claims.has_open_jobs(connection):
+                share_finished(self._url)

@@ -33,8 +33,11 @@ class RunBar(Bars):
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
         left = "" if progress.eta_s is None else f"{format_duration(progress.eta_s)} left, "
         layouts = f", {progress.built_layouts}" if progress.layouts else ""
-        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts{layouts}"
-        self.update(self._task, total=progress.planned, completed=progress.jobs.get("archived", 0), note=note)
+        done = progress.jobs.get("archived", 0)
+        reason = max(progress.failures, key=progress.failures.__getitem__) if failures > done else ""
+        most = f" (most: {reason} {progress.failures[reason]})" if reason else ""
+        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts{most}{layouts}"
+        self.update(self._task, total=progress.planned, completed=done, note=note)
 
 
 def summarise(root: Place, progress: Progress) -> dict[str, Any]:

@@ -82,9 +82,10 @@ class Progress(Model):
     shards: Count = 0
     """Number of shards of the dataset; 0 if no episode is packed."""
     episodes_per_hour: NonNegative | None
-    """Rate of archived episodes over the last ten minutes of archiving, 1/h; `None` before the second episode."""
+    """Rate of archived episodes since the coordinator started, over at most ten minutes, 1/h; `None` until it can
+    be known."""
     eta_s: NonNegative | None
-    """Time to the end at that rate, seconds; `None` if unknown, 0 if finished."""
+    """Time to the end at the rate of the last two minutes, seconds; `None` if unknown, 0 if finished."""
     finished: bool
     """Whether no job can change its state without a `retry`."""
     paused: bool = False

@@ -26,6 +26,7 @@ from sqlalchemy.pool import NullPool
 
 from schemas.errors import UsageError, WorldError
 from schemas.storage.mounts import MOUNTS, mount_of
+from schemas.support.shell import quoted
 
 _SUFFIX = ".digest"
 _PIECE_BYTES = 1 << 20
@@ -36,6 +37,14 @@ def write_closed_digest(url: str) -> None:
     with contextlib.suppress(OSError):  # without the digest, the next start audits the ledger
         for file in _whole_file(url):
             file.with_suffix(_SUFFIX).write_text(_digest(file))
+
+
+def share_finished(url: str) -> None:
+    """Gives the files of a finished ledger the reading permissions of their folder; its leases are worthless now."""
+    for file in sqlite_files(url):
+        with contextlib.suppress(OSError):  # another user owns the file
+            readable = stat.S_IMODE(file.parent.stat().st_mode) & _READ
+            file.chmod(stat.S_IMODE(file.stat().st_mode) | readable)
 
 
 def is_unchanged(url: str) -> bool:
@@ -68,7 +77,7 @@ _LOCK = 0x6D696E69766C61
 _LOCK_HELD = text("""
     SELECT 1 FROM pg_locks WHERE locktype = 'advisory' AND granted AND objsubid = 1 AND classid = :high AND objid = :low
         AND database = (SELECT oid FROM pg_database WHERE datname = current_database())""")
-_OTHERS = 0o007
+_OTHERS, _READ = 0o007, 0o444
 _LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
 """Longest wait for the lock and pause between attempts, seconds. The wait is needed because a server detects late that
 a client was killed."""
@@ -125,7 +134,20 @@ def open_reader(url: str) -> Engine:
     file = _sqlite_file(url)
     if not file.is_file():
         raise WorldError(f"no ledger at {file}; start a run with `factory run` or `factory coordinator start`")
+    if not all(os.access(path, os.R_OK) for path in sqlite_files(url)):
+        raise WorldError(
+            f"no permission to read the ledger {file}, which belongs to {_owner_of(file)}: it is private until its run "
+            "is finished, because it contains lease tokens. While the run lasts, `factory status --connect ENDPOINT` "
+            f"asks its coordinator; after it, the owner can run `chmod a+r {quoted(file)}`"
+        )
     return _reader_of(file)
+
+
+def _owner_of(file: Path) -> str:
+    try:
+        return file.owner()
+    except (KeyError, OSError):
+        return "another user"
 
 
 @functools.lru_cache(maxsize=_KEPT_READERS)

@@ -22,7 +22,9 @@ from coordinator.ledger.tallies import ATTEMPT_COUNTS, JOB_COUNTS, build_counts
 from schemas.protocol.status import Progress, WorkerStatus
 from schemas.terms import family_of
 
-_RATE_WINDOW_S = 600.0
+_RATE_WINDOW_S, _RECENT_S = 600.0, 120.0
+_LEAST_EPISODES, _LEAST_S = 2, 5.0
+"""Smallest number of episodes, and of seconds, from which a rate is computed."""
 
 _HELD_BY = select(jobs.c.sid, func.count()).where(jobs.c.state.in_(HELD_STATES)).group_by(jobs.c.sid)
 
@@ -31,7 +33,7 @@ class _Pace(NamedTuple):
     """Rate of archived episodes and estimated remaining time."""
 
     per_hour: float | None
-    """Episodes per hour; `None` if too few are recent."""
+    """Episodes per hour; `None` if it cannot be known yet."""
     eta_s: float | None
     """Remaining time, seconds; `None` if the rate is unknown."""
 
@@ -51,7 +53,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
     unbuilt = max(0, (facts.episodes or 0) - sum(counts.values()))
     counts[JobState.PENDING] += unbuilt
     left += unbuilt
-    pace = _pace(connection, now, left)
+    pace = _pace(connection, now, left, facts.opened_at)
     return Progress(
         run=facts.run,
         planned=sum(counts.values()),
@@ -115,11 +117,25 @@ def _workers(connection: Connection, now: datetime, lease_ttl_s: float) -> tuple
     )
 
 
-def _pace(connection: Connection, now: datetime, left: int) -> _Pace:
-    recent = select(func.count(), func.min(episodes.c.archived_at), func.max(episodes.c.archived_at))
-    since = now.timestamp() - _RATE_WINDOW_S
-    count, first, last = connection.execute(recent.where(episodes.c.archived_at >= since)).one()
-    per_hour = 3600 * (count - 1) / (last - first) if count >= 2 and last > first else None
+def _pace(connection: Connection, now: datetime, left: int, opened_at: datetime) -> _Pace:
+    """Returns the rate over the elapsed time of this start of the coordinator, at most ten minutes, and the time left.
+
+    The time left follows the last two minutes, because the last episodes of a run are often the slowest.
+    """
+    last = connection.execute(select(func.max(episodes.c.archived_at))).scalar()
+    if last is None:
+        return _Pace(None, None if left else 0.0)
+    end = now.timestamp() if left else last
+    begin = max(end - _RATE_WINDOW_S, opened_at.timestamp())
+    per_hour = _rate(connection, begin, end)
     if left == 0:
         return _Pace(per_hour, 0.0)
-    return _Pace(per_hour, 3600 * left / per_hour if per_hour else None)
+    recent = _rate(connection, max(begin, end - _RECENT_S), end)
+    return _Pace(per_hour, 3600 * left / recent if recent else None)
+
+
+def _rate(connection: Connection, begin: float, end: float) -> float | None:
+    """Returns the rate of archived episodes, 1/h; `None` if time or number are too small to know it."""
+    query = select(func.count()).where(episodes.c.archived_at >= begin, episodes.c.archived_at <= end)
+    count = int(connection.execute(query).scalar_one())
+    return 3600 * count / (end - begin) if count >= _LEAST_EPISODES and end - begin >= _LEAST_S else None

@@ -13,7 +13,7 @@ from sqlalchemy import select
 
 from coordinator.ledger import administration, claims, hosts, outcomes
 from coordinator.ledger.claims import lease_of
-from coordinator.ledger.database.engine import open_reader, open_writer
+from coordinator.ledger.database.engine import open_reader, open_writer, share_finished
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.records import (
@@ -355,6 +355,20 @@ def test_rate_and_remaining_time_are_estimated_from_the_last_ten_minutes(timed_l
     assert progress.eta_s == pytest.approx(60)
 
 
+def test_rate_counts_the_whole_time_and_a_stalled_run_has_no_time_left(timed_ledger):
+    timed_ledger.now += timedelta(seconds=16)
+    for _ in range(2):
+        lease = timed_ledger.lease()
+        timed_ledger.done(lease)
+        timed_ledger.archive(lease)
+        timed_ledger.now += timedelta(seconds=1)
+    with timed_ledger.open() as connection:
+        assert read_progress(connection, timed_ledger.now).episodes_per_hour == pytest.approx(2 * 3600 / 18)
+        stalled = read_progress(connection, timed_ledger.now + timedelta(seconds=182))
+    assert stalled.episodes_per_hour == pytest.approx(2 * 3600 / 200)
+    assert stalled.eta_s is None
+
+
 def test_a_reader_cannot_write(tmp_path):
     url = f"sqlite:///{tmp_path / 'ledger.db'}"
     engine = open_writer(url)
@@ -423,6 +437,25 @@ def test_a_ledger_is_readable_only_by_its_owner(tmp_path, former):
         os.umask(umask)
     assert set(modes) == {"ledger.db", "ledger.db-wal", "ledger.db-shm"}
     assert set(modes.values()) == {0o600 if former is None else former & ~0o007}
+
+
+@pytest.mark.parametrize(("folder", "mode"), [(0o755, 0o644), (0o750, 0o640), (0o700, 0o600)])
+def test_a_finished_ledger_has_the_reading_permissions_of_its_folder(tmp_path, folder, mode):
+    file = tmp_path / "ledger.db"
+    timed_ledger = TimedLedger(url=f"sqlite:///{file}")
+    timed_ledger.engine.dispose()
+    tmp_path.chmod(folder)
+    share_finished(f"sqlite:///{file}")
+    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {mode}
+
+
+def test_a_missing_permission_is_not_reported_as_damage(tmp_path, monkeypatch):
+    url = f"sqlite:///{tmp_path / 'ledger.db'}"
+    TimedLedger(url=url).engine.dispose()
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may read every file
+    with pytest.raises(WorldError, match=r"no permission to read the ledger .*`chmod a[+]r ") as error:
+        open_reader(url)
+    assert "repair" not in str(error.value)
 
 
 def test_a_lease_belongs_to_the_host_that_claimed_it(timed_ledger):
