@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.factory_cli import FactoryCli, episodes_in, wait_for
-from tests.builders.fork_server import ForkServer
 from tests.builders.ports import free_endpoint
 
 
@@ -159,10 +158,8 @@ def test_an_unknown_expert_is_refused_with_the_known_experts(factory, tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-def test_a_missing_driver_of_the_required_renderer_is_reported_once_before_the_run(
-    server: ForkServer, cache: Path, tmp_path: Path
-) -> None:
-    without_egl = FactoryCli(server, tmp_path / "home", cache, {"__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"})
+def test_a_missing_driver_of_the_required_renderer_is_reported_once_before_the_run(cache: Path, tmp_path: Path) -> None:
+    without_egl = FactoryCli(tmp_path / "home", cache, {"__EGL_VENDOR_LIBRARY_DIRS": "/nowhere"})
     refused = without_egl("run", "demo", "--renderer", "gl", "--out", tmp_path / "out", expect=1)
     assert refused.stderr.count("OpenGL 4.5 with EGL is not available on this machine") == 1
     assert "apt-get install libegl1 libgl1-mesa-dri" in refused.stderr

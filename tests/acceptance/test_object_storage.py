@@ -7,10 +7,10 @@ import json
 from tests.acceptance.factory_cli import FactoryCli
 
 
-def test_a_run_into_a_bucket_is_made_resumed_verified_and_reported(server, plan, cache, object_store, tmp_path):
+def test_a_run_into_a_bucket_is_made_resumed_verified_and_reported(plan, cache, object_store, tmp_path):
     state = tmp_path / "state"
     variables = {**object_store.variables(), "MINIVLA_STATE": str(state)}
-    factory = FactoryCli(server, tmp_path, cache, variables)
+    factory = FactoryCli(tmp_path, cache, variables)
     url = f"s3://{object_store.new_bucket()}/tiny"
     small = ("--scene", "hospital", "--episodes", 1)
     try:

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.factory_cli import FactoryCli
-from tests.builders.fork_server import ForkServer
 
 _SBATCH = """#!/bin/bash
 if grep -q partition=cpu "${@: -1}"; then echo 7; else echo "no such partition" >&2; exit 1; fi
@@ -17,13 +16,13 @@ if grep -q partition=cpu "${@: -1}"; then echo 7; else echo "no such partition" 
 
 
 @pytest.fixture
-def site(server: ForkServer, cache: Path, tmp_path: Path, plan: Path) -> FactoryCli:
+def site(cache: Path, tmp_path: Path, plan: Path) -> FactoryCli:
     """The command line on a login node where Slurm accepts only the partition `cpu`."""
     (tmp_path / "bin").mkdir()
     sbatch = tmp_path / "bin" / "sbatch"
     sbatch.write_text(_SBATCH)
     sbatch.chmod(0o755)
-    return FactoryCli(server, tmp_path / "home", cache, {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"})
+    return FactoryCli(tmp_path / "home", cache, {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"})
 
 
 @pytest.mark.parametrize("mode", ["shards", "workers"])

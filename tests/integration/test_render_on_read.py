@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import shutil
 import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -25,7 +26,6 @@ from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
 from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.fresh_process import in_fresh_process
-from tests.builders.script import script
 
 pytestmark = pytest.mark.gl
 
@@ -159,7 +159,8 @@ def copied(states: Dataset, tmp_path: Path) -> Path:
 def read_in_new_process(root: Path, **environment: str) -> str:
     """Returns the error of reading a frame in a process that has no decoded scenes; empty if there was none."""
     code = f"from minivla import Dataset\nprint(Dataset({str(root)!r})[0].frame(1).rgb.shape)"
-    done = subprocess.run(script(code), env=os.environ | environment, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
     return done.stderr if done.returncode else ""
 
 

@@ -21,7 +21,6 @@ from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.dataset import make_dataset
-from tests.builders.fork_server import ForkServer
 
 pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]
@@ -110,9 +109,9 @@ def test_the_difference_from_stored_frames_is_reported_by_channel(copy: Callable
 
 
 @pytest.fixture
-def tiny(server: ForkServer, cache: Path, tmp_path: Path) -> FactoryCli:
+def tiny(cache: Path, tmp_path: Path) -> FactoryCli:
     """The command line with PyBullet's TinyRenderer."""
-    return FactoryCli(server, tmp_path, cache, {"MINIVLA_RENDERER": "tiny"})
+    return FactoryCli(tmp_path, cache, {"MINIVLA_RENDERER": "tiny"})
 
 
 def test_pixels_of_another_renderer_are_compared_with_a_reference(tiny: FactoryCli, recordings: Recordings) -> None:
