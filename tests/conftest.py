@@ -11,7 +11,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.layouts import Layouts
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
@@ -78,10 +78,16 @@ def layouts(shared: Path) -> Layouts:
 
 @pytest.fixture(scope="session")
 def factory(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
-    """The command line, with an empty home and the shared cache."""
+    """The command line as processes, with an empty home and the shared cache."""
     cli = FactoryCli(tmp_path_factory.mktemp("empty-home"), cache)
     yield cli
     cli.end()
+
+
+@pytest.fixture(scope="session")
+def command(cache: Path) -> Command:
+    """The command line in the process of the test, with the shared cache; other variables are those of the test."""
+    return Command(cache)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Runs the installed `factory` in separate processes with an empty home."""
+"""Runs `factory` for tests: the installed command as a process, or its entry point in the process of the test."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import sysconfig
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from factory.cli.main import main
 
 TINY_PLAN = """
 name = "tiny"
@@ -73,7 +80,46 @@ class Started:
         return self._out.read_text(), self._err.read_text()
 
 
-class FactoryCli:
+class _Caller(ABC):
+    """Runs commands and checks their exit status."""
+
+    @abstractmethod
+    def run(self, *words: object) -> subprocess.CompletedProcess[str]:
+        """Runs a command; accepts any exit status."""
+
+    def __call__(self, *words: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
+        done = self.run(*words)
+        assert done.returncode == expect, f"factory {words}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done
+
+    def json(self, *words: object, expect: int = 0) -> Any:
+        return json.loads(self(*words, "--json", expect=expect).stdout)
+
+
+class Command(_Caller):
+    """`factory` in the process of the test, for commands that only parse, read or print.
+
+    A new interpreter imports for seconds before it prints an error.
+    """
+
+    def __init__(self, cache: Path, variables: Mapping[str, str] = MappingProxyType({})) -> None:
+        self._variables = {"MINIVLA_CACHE": str(cache), **variables}
+
+    def run(self, *words: object) -> subprocess.CompletedProcess[str]:
+        """Runs a command; accepts any exit status."""
+        arguments = [*map(str, words)]
+        with pytest.MonkeyPatch.context() as patch, CliRunner().isolation(env=self._variables) as (out, err, _):
+            patch.setattr(sys, "argv", ["factory", *arguments])
+            with pytest.raises(SystemExit) as left:
+                main()
+            sys.stdout.flush()
+            sys.stderr.flush()
+            return subprocess.CompletedProcess(
+                arguments, left.value.code, out.getvalue().decode(), err.getvalue().decode()
+            )
+
+
+class FactoryCli(_Caller):
     """`factory` as a process with a private cache and home; kills the remaining processes at the end."""
 
     def __init__(self, home: Path, cache: Path, variables: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -97,14 +143,6 @@ class FactoryCli:
             timeout=_HANGS_S,
             start_new_session=True,
         )
-
-    def __call__(self, *words: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
-        done = self.run(*words)
-        assert done.returncode == expect, f"factory {words}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"
-        return done
-
-    def json(self, *words: object, expect: int = 0) -> Any:
-        return json.loads(self(*words, "--json", expect=expect).stdout)
 
     def end(self) -> None:
         for process in self._started:

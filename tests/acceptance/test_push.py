@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command
 from tests.builders.dataset import make_dataset
 from tests.builders.fake_hub import TOKEN, FakeHub
 
@@ -42,7 +42,7 @@ def push(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Push:
     def run(*words: object, token: str | None = TOKEN) -> subprocess.CompletedProcess[str]:
         variables = {"HF_HOME": str(tmp_path / "hf"), "HF_HUB_DISABLE_XET": "1"}
         variables |= {} if token is None else {"HF_TOKEN": token}
-        return FactoryCli(tmp_path, tmp_path / "cache", variables).run("push", *words)
+        return Command(tmp_path / "cache", variables).run("push", *words)
 
     return run
 

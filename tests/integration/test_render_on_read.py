@@ -24,7 +24,7 @@ from schemas.errors import UsageError
 from schemas.storage.dataset_files import SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command
 from tests.builders.fresh_process import in_fresh_process
 
 pytestmark = pytest.mark.gl
@@ -141,11 +141,11 @@ def test_the_card_names_the_software_that_gives_identical_frames(states: Dataset
 
 
 def test_a_contact_sheet_of_both_recordings_is_equal(
-    factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
+    command: Command, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     pictures = []
     for record, root in recordings.items():
-        factory("show", root, 1, "-o", tmp_path / f"{record}.png")
+        command("show", root, 1, "-o", tmp_path / f"{record}.png")
         pictures.append(np.asarray(Image.open(tmp_path / f"{record}.png")))
     assert np.array_equal(*pictures)
 
