@@ -73,15 +73,15 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
     archive = stack.enter_context(open_archive(root, options.store, take_over=options.take_over))
     replace_unusable_ledger(archive, url, terms.catalog)
     ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock))
-    are_tables_owed = _reconcile(archive, ledger, terms, checker, options)
+    are_tables_owed = _reconcile(archive, ledger, terms=terms, checker=checker, options=options)
     return RunContext(
         terms,
         options.settings,
-        archive,
-        ledger,
-        checker,
-        options.clock,
-        Meters(),
+        archive=archive,
+        ledger=ledger,
+        checker=checker,
+        clock=options.clock,
+        meters=Meters(),
         packages=packages,
         are_tables_owed=are_tables_owed,
     )
@@ -96,7 +96,7 @@ def _adopt_layouts(ledger: RunLedger, terms: Terms, now: datetime) -> None:
             if entry is not None:
                 number, first = number_of_layout(plan, build), plan.spans[build.scene][0]
                 planned = tuple(expand_layout(plan, number, first, entry))
-                adopt_package(connection, build, entry.sha256, entry.size, planned, now)
+                adopt_package(connection, build, sha256=entry.sha256, size=entry.size, planned=planned, now=now)
 
 
 def _reconcile(
@@ -104,7 +104,13 @@ def _reconcile(
 ) -> bool:
     planned = terms.evaluation.planned if terms.evaluation is not None else None
     is_new = open_run(
-        ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned, options.shard
+        ledger.engine,
+        terms.plan,
+        catalog=terms.catalog,
+        lease_ttl_s=terms.lease_ttl_s,
+        now=options.clock(),
+        planned=planned,
+        shard=options.shard,
     )
     for name, entry in terms.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256, entry.textures)
@@ -113,7 +119,7 @@ def _reconcile(
             terms.textures[family] = terms.textures.get(family, frozenset()).union(entry.textures)
     archive.sweep_textures(frozenset().union(*terms.textures.values()))
     _adopt_layouts(ledger, terms, options.clock())
-    reconciled = reconcile(archive, ledger.engine, terms, checker, options.clock())
+    reconciled = reconcile(archive, ledger.engine, terms=terms, checker=checker, now=options.clock())
     ledger.start_writer()
     with ledger.reading() as connection:
         is_owed = is_checkpoint_due(archive, connection)

@@ -78,10 +78,10 @@ class LeaseLimit:
         if (now - self._since).total_seconds() < self._limit_s:
             return 0
         with self._reading() as connection:
-            found = held_too_long(connection, now, self._limit_s)
-        if not found:
+            expired = held_too_long(connection, now, self._limit_s)
+        if not expired:
             return 0
-        ended = self._commit(lambda connection: [row for row in found if self._end(connection, row, now)])
+        ended = self._commit(lambda connection: [row for row in expired if self._end(connection, row, now)])
         if ended:
             _log_ended(ended)
         return len(ended)
@@ -144,7 +144,7 @@ class Housekeeping:
         self._writer = run.ledger.writer
         self._watch = ClockWatch(run.clock, elapsed)
         self._limit = LeaseLimit(
-            run.ledger.reading, self._writer.call, run.terms, run.clock, run.settings.lease_limit_s
+            run.ledger.reading, self._writer.call, terms=run.terms, clock=run.clock, limit_s=run.settings.lease_limit_s
         )
         self._barred: frozenset[str] = frozenset()
         self._noted_sandbox: tuple[str, ...] = ()

@@ -47,8 +47,8 @@ class Rechecks:
             WorldError: an episode cannot be moved to the quarantine folder.
         """
         with self._run.ledger.reading() as connection:
-            found = [(index, self._job_of(connection, index)) for index in suspects(connection, _AT_ONCE)]
-        for index, job in found:
+            suspected = [(index, self._job_of(connection, index)) for index in suspects(connection, _AT_ONCE)]
+        for index, job in suspected:
             refusal = self._refusal_of(index, job)
             if refusal:
                 self._remove(index, refusal)

@@ -200,18 +200,25 @@ class Coordinator(Closing):
         if isinstance(run.checker, Validator):  # evaluations use another validator and build no layouts
             check = run.checker.check_package
             layouts = LayoutStore(
-                run.archive, state_dir, run.ledger.writer, run.terms, scenes, run.packages, check, run.clock
+                run.archive,
+                state_dir,
+                writer=run.ledger.writer,
+                terms=run.terms,
+                catalog=scenes,
+                packages=run.packages,
+                check=check,
+                clock=run.clock,
             )
         return Pullers(
             run.archive,
             LocalLedgerClient(run.ledger.writer, run.terms, run.clock),
-            lambda sid, ranges: self._router.fetch(sid, ranges),
-            run.checker,
-            run.settings,
-            self._tables.note_change,
-            run.meters,
-            find_local_bundle,
-            layouts,
+            fetch=lambda sid, ranges: self._router.fetch(sid, ranges),
+            checker=run.checker,
+            settings=run.settings,
+            on_archived=self._tables.note_change,
+            meters=run.meters,
+            find_local_bundle=find_local_bundle,
+            layouts=layouts,
         )
 
     def _open_request_handler(self, run: RunContext, on_joined: Callable[[Hello], None]) -> RequestHandler:
@@ -232,11 +239,11 @@ class Coordinator(Closing):
         return HealthMonitor(
             run.ledger.writer,
             run.meters,
-            run.ledger.figures,
-            run.archive.free_bytes,
-            run.settings.reserve_bytes,
-            lambda: self._router.is_open,
-            lambda: sandbox_of(run.checker),
+            read=run.ledger.figures,
+            free_bytes=run.archive.free_bytes,
+            reserve_bytes=run.settings.reserve_bytes,
+            is_listening=lambda: self._router.is_open,
+            sandbox=lambda: sandbox_of(run.checker),
         )
 
 
@@ -245,11 +252,11 @@ def _open_router(run: RunContext, options: CoordinatorOptions, handler: RequestH
     return Router(
         terms.plan.run,
         options.listen,
-        run.packages,
-        run.settings,
-        handler.take,
-        handler.note_gone,
-        options.guard,
-        options.connect,
-        terms.evaluation.files if terms.evaluation is not None else {},
+        packages=run.packages,
+        settings=run.settings,
+        on_inquiry=handler.take,
+        on_gone=handler.note_gone,
+        guard=options.guard,
+        connect=options.connect,
+        files=terms.evaluation.files if terms.evaluation is not None else {},
     )

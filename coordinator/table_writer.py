@@ -65,7 +65,9 @@ class TableWriter:
             with run.ledger.reading() as connection:
                 up_to = last_event(connection)
                 is_over = not claims.has_open_jobs(connection)
-                pack_settled(run.archive, connection, run.terms.plan, is_over, run.settings.shard_episodes)
+                pack_settled(
+                    run.archive, connection, plan=run.terms.plan, is_over=is_over, size=run.settings.shard_episodes
+                )
                 # the first and the last write read all rows from the ledger: another process may have changed the files
                 self._checkpoints.write(connection, run.clock(), rewrite=is_over)
             self._up_to, self._are_readable, self._is_first_due = up_to, True, False

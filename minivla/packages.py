@@ -31,9 +31,9 @@ def require_own_packages(root: Path = _ROOT) -> None:
         ImportError: another package or module of that name is found first; the message names it and the remedy.
     """
     for name in NAMES:
-        found = _locations(name)
-        if root / name not in found:
-            raise ImportError(_message(name, root, found), name=name)
+        locations = _locations(name)
+        if root / name not in locations:
+            raise ImportError(_message(name, root, locations), name=name)
 
 
 def _locations(name: str) -> list[Path]:
@@ -45,14 +45,14 @@ def _locations(name: str) -> list[Path]:
 def _places_of(spec: ModuleSpec | None) -> list[Path]:
     if spec is None:
         return []
-    found = list(spec.submodule_search_locations or ()) or [spec.origin or ""]
-    return [Path(place).resolve() for place in found]
+    locations = list(spec.submodule_search_locations or ()) or [spec.origin or ""]
+    return [Path(place).resolve() for place in locations]
 
 
-def _message(name: str, root: Path, found: list[Path]) -> str:
-    if not found:
+def _message(name: str, root: Path, locations: list[Path]) -> str:
+    if not locations:
         return f"minivla-factory is incomplete: its package {name!r} is missing in {root}; install it again"
-    foreign = found[0]
+    foreign = locations[0]
     owner = _distribution_of(name, foreign)
     whose = f", which the package {owner} installed" if owner else ""
     remedy = (

@@ -210,7 +210,7 @@ class BundleReader(Closing):
     def depth(self, t: int) -> NDArray[np.float32]:
         """Returns frame t as (640, 640) metres along the optical axis, 0 where nothing was hit."""
         name = _frame_names(t)[1]
-        depth = decode_npy_zst(name, self._in.read(name), np.float32, _IMAGE_SHAPE, _DEPTH_BYTES)
+        depth = decode_npy_zst(name, self._in.read(name), dtype=np.float32, shape=_IMAGE_SHAPE, max_bytes=_DEPTH_BYTES)
         return cast(NDArray[np.float32], depth)
 
     def ids(self, t: int) -> NDArray[np.uint16]:
@@ -239,7 +239,7 @@ class BundleReader(Closing):
         Raises:
             InvalidBundle: an array is missing, damaged or out of bounds.
         """
-        return read_measurement(self._in.read, sensor, t, self.length, self.control_hz)
+        return read_measurement(self._in.read, sensor, t=t, length=self.length, control_hz=self.control_hz)
 
     def stored(self, name: str) -> bytes:
         """Returns the encoded bytes of a member, e.g. `rgb_front/000000.png`, after a check of its CRC."""
@@ -292,9 +292,9 @@ def _keep_freed_memory() -> None:
     np.empty(_KEPT_FREE_BYTES, np.uint8)  # not mallopt, which ends glibc's automatic adjustment of the thresholds
 
 
-def _name_findings(found: tuple[str, ...], expected: tuple[str, ...]) -> list[str]:
-    missing = [name for name in expected if name not in set(found)]
-    surplus = [name for name in found if name not in set(expected)]
+def _name_findings(names: tuple[str, ...], expected: tuple[str, ...]) -> list[str]:
+    missing = [name for name in expected if name not in set(names)]
+    surplus = [name for name in names if name not in set(expected)]
     findings = [f"{len(missing)} members missing, first {missing[0]!r}"] if missing else []
     findings += [f"{len(surplus)} unexpected members, first {surplus[0]!r}"] if surplus else []
     return findings or ["members are not in their fixed order"]

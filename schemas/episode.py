@@ -205,18 +205,18 @@ def parse_meta(text: bytes) -> EpisodeMeta:
     except ValidationError as error:
         newer = _newer_format(text)
         if newer is not None:
-            found = f"bundle format {newer}, this software reads up to {BUNDLE_FORMAT}: upgrade minivla-factory"
-            raise InvalidBundle("bundle refused", [found]) from error
+            problem = f"bundle format {newer}, this software reads up to {BUNDLE_FORMAT}: upgrade minivla-factory"
+            raise InvalidBundle("bundle refused", [problem]) from error
         findings = [f"meta.json: {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:20]]
         raise InvalidBundle("bundle refused", findings) from error
 
 
 def _newer_format(text: bytes) -> int | None:
     try:
-        found = from_json(text)
+        content = from_json(text)
     except ValueError:
         return None
-    version = found.get("format") if isinstance(found, dict) else None
+    version = content.get("format") if isinstance(content, dict) else None
     return version if isinstance(version, int) and version > BUNDLE_FORMAT else None
 
 

@@ -47,8 +47,8 @@ def exchangeable_targets(
     """
     shown = ids_in_view(ids, job.gains.min_mask_px)
     near = [each for each in startable_targets(job, candidates, start) if each.instance_id in shown]
-    found = [each for each, apart in zip(near, _count_apart(job, near), strict=True) if apart == len(near) - 1]
-    return tuple(sorted(found, key=lambda each: each.instance_id))
+    exchangeable = [each for each, apart in zip(near, _count_apart(job, near), strict=True) if apart == len(near) - 1]
+    return tuple(sorted(exchangeable, key=lambda each: each.instance_id))
 
 
 def may_exchange(job: Job, candidates: Sequence[Target], start: tuple[float, float, float], least: int) -> bool:
@@ -60,17 +60,17 @@ def may_exchange(job: Job, candidates: Sequence[Target], start: tuple[float, flo
 def _count_apart(job: Job, targets: Sequence[Target]) -> list[int]:
     """Returns, for each target, the number of other targets whose success region does not overlap with its own."""
     goals = [Goal.of(each, job.task) for each in targets]
-    return [sum(own is not other and own.is_disjoint(other) for other in goals) for own in goals]
+    return [sum(goal is not other and goal.is_disjoint(other) for other in goals) for goal in goals]
 
 
 def startable_targets(job: Job, candidates: Sequence[Target], start: tuple[float, float, float]) -> list[Target]:
     """Returns the candidates whose distance and direction from a start fit the job's tier, near or mid."""
     x, y, yaw = start
     low, high = TIER_RANGE_M[job.tier]
-    found = []
+    startable = []
     for each in candidates:
         bearing = math.atan2(each.centroid_m[1] - y, each.centroid_m[0] - x)
         is_ahead = abs(math.remainder(bearing - yaw, 2 * math.pi)) <= job.spawn.heading_noise_rad
         if is_ahead and low <= Goal.of(each, job.task).distance(x, y) <= high:
-            found.append(each)
-    return found
+            startable.append(each)
+    return startable

@@ -58,12 +58,12 @@ class LayoutPlan(ScenePlan):
 def cross_quota(splits: Mapping[Split, float], tiers: Mapping[Tier, float], episodes: int) -> Cells:
     """Returns the exact quota of each cell of split x tier; cells without episodes are omitted."""
     order = iter(webster_sequence({key: share for key, share in tiers.items() if share > 0}, episodes))
-    found: Cells = {}
+    cells: Cells = {}
     for split, count in apportion({key: share for key, share in splits.items() if share > 0}, episodes).items():
         for _ in range(count):
             cell = split, next(order)
-            found[cell] = found.get(cell, 0) + 1
-    return found
+            cells[cell] = cells.get(cell, 0) + 1
+    return cells
 
 
 def layouts_of(scene: ScenePlan, splits: Mapping[Split, float], tiers: Mapping[Tier, float]) -> tuple[LayoutPlan, ...]:
@@ -81,9 +81,9 @@ def layouts_of(scene: ScenePlan, splits: Mapping[Split, float], tiers: Mapping[T
     for (split, tier), count in cross_quota(splits, tiers, scene.episodes).items():
         group, start = groups[split.is_unseen_scene], starts[split.is_held_out]
         for place, cells in enumerate(group):
-            own = range(start + (place - turns[split.is_unseen_scene]) % len(group), start + count, len(group))
-            if own:
-                cells[split, tier] = own
+            numbers = range(start + (place - turns[split.is_unseen_scene]) % len(group), start + count, len(group))
+            if numbers:
+                cells[split, tier] = numbers
         turns[split.is_unseen_scene] += count
         starts[split.is_held_out] += count
     shared = {name: getattr(scene, name) for name in ScenePlan.model_fields}

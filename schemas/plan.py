@@ -138,8 +138,8 @@ class Plan(Model):
     def _adds_up(self) -> Plan:
         listed: list[tuple[str, Shares]] = [("tiers", self.tiers), ("splits", self.splits)]
         for number, scene in enumerate(self.scenes):
-            own: list[tuple[str, Shares]] = [("tiers", scene.tiers), ("splits", scene.splits)]
-            listed += [(f"scenes[{number}].{key}", shares) for key, shares in own if shares]
+            shares_of_key: list[tuple[str, Shares]] = [("tiers", scene.tiers), ("splits", scene.splits)]
+            listed += [(f"scenes[{number}].{key}", shares) for key, shares in shares_of_key if shares]
         mistakes = [
             f"{key}: the shares add up to {sum(shares.values()):g}, not 1"
             for key, shares in listed
@@ -257,34 +257,36 @@ class Plan(Model):
 
 def _language_faults(plan: Plan, language: LanguageSpec) -> list[str]:
     """Returns a message for each key of a language block that a plan does not support."""
-    found = []
+    findings = []
     if language.per_episode != 1:
-        found.append("language.per_episode: an episode of a plan has one instruction, `factory relabel` writes several")
+        findings.append(
+            "language.per_episode: an episode of a plan has one instruction, `factory relabel` writes several"
+        )
     if language.false_premises:
-        found.append("language.false_premises: a plan has a split for them, set splits.test_false_premise")
+        findings.append("language.false_premises: a plan has a split for them, set splits.test_false_premise")
     if plan.instructions.unique != "off":
-        found.append("instructions.unique is for templates, remove it; use `language.fit` instead")
+        findings.append("instructions.unique is for templates, remove it; use `language.fit` instead")
     if language.exchangeable:
-        found += _exchange_faults(plan)
-    return found
+        findings += _exchange_faults(plan)
+    return findings
 
 
 def _exchange_faults(plan: Plan) -> list[str]:
     """Returns a message for each key of a plan that prevents drawing the target at the start."""
-    found = []
+    findings = []
     if plan.expert is not ExpertName.PLANNER:
-        found.append(
+        findings.append(
             f"language.exchangeable: the expert {plan.expert} drives straight, so few objects in view could be "
             'the target: set expert = "planner"'
         )
     if any(plan.tiers_of(scene).get(Tier.FAR) for scene in plan.scenes):
-        found.append("language.exchangeable: the image does not show distances along the floor: set tiers.far to 0")
+        findings.append("language.exchangeable: the image does not show distances along the floor: set tiers.far to 0")
     if plan.colors == "off":
-        found.append(
+        findings.append(
             "language.exchangeable: `colors` is for templates, remove it "
             "(to exclude colours, set colour = 0 in [language.features])"
         )
-    return found
+    return findings
 
 
 def canonical_json(model: Model, exclude: set[str] | dict[str, Any] | None = None) -> str:

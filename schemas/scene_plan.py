@@ -130,7 +130,7 @@ class ScenePlan(Model):
         unknown = [name for name in categories if name not in known]
         if unknown and others.data.get("file") is None:
             meant = {name: category_of(name) for name in unknown}
-            hints = [f"{name} is a synonym of {found}" for name, found in meant.items() if found in known]
+            hints = [f"{name} is a synonym of {category}" for name, category in meant.items() if category in known]
             text = f"unknown categories {', '.join(unknown)}; categories of {scene}: {', '.join(sorted(known))}"
             raise ValueError("; ".join([text, *hints]))
         return categories
@@ -199,8 +199,8 @@ def load_taxonomy() -> Mapping[str, CategoryKind]:
 
 def category_of(name: str) -> str | None:
     """Returns the category with a name or synonym, in any case, with spaces or underscores; `None` for other names."""
-    said = name.lower().replace("_", " ")
+    words = name.lower().replace("_", " ")
     for category, kind in load_taxonomy().items():
-        if said == category.replace("_", " ") or said in kind.synonyms:
+        if words == category.replace("_", " ") or words in kind.synonyms:
             return category
     return None

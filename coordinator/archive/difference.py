@@ -73,12 +73,12 @@ def diff_archive(listed: Mapping[int, ListedFile], recorded: Mapping[int, Record
     )
 
 
-def describe_difference(found: ListedFile | None, record: RecordedFile) -> str:
+def describe_difference(listed: ListedFile | None, record: RecordedFile) -> str:
     """Returns the difference between a file (`None`: missing) and its record as text; empty if there is none."""
-    if found is None:
+    if listed is None:
         return GONE
-    if found.size != record.size:
-        return f"{found.size} bytes; in the ledger {record.size}"
-    if found.fault or found.sha256 in (None, record.sha256):
-        return found.fault
-    return f"SHA-256 {found.sha256}; in the ledger {record.sha256}"
+    if listed.size != record.size:
+        return f"{listed.size} bytes; in the ledger {record.size}"
+    if listed.fault or listed.sha256 in (None, record.sha256):
+        return listed.fault
+    return f"SHA-256 {listed.sha256}; in the ledger {record.sha256}"

@@ -99,9 +99,11 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
             except FileExistsError:
                 if final.stat().st_size != staged.size or digest_of(final) != staged.sha256:
                     self._require_free(index)
-            found = final.stat().st_size
-            if found != staged.size:
-                raise ArchiveCorrupt(f"{final} has {found} bytes, but {staged.size} were sent: run `factory repair`")
+            stored_size = final.stat().st_size
+            if stored_size != staged.size:
+                raise ArchiveCorrupt(
+                    f"{final} has {stored_size} bytes, but {staged.size} were sent: run `factory repair`"
+                )
         return final
 
     def publish_all(self, parts: Mapping[int, PartFile]) -> dict[int, FactoryError]:
@@ -253,10 +255,10 @@ def other_holder(root: ObjectPath, state_dir: Path) -> str:
 
 def _holder(root: ObjectPath) -> dict[str, str]:
     try:
-        said = json.loads(root.objects.read(_LOCK))
+        holder = json.loads(root.objects.read(_LOCK))
     except (FileNotFoundError, ValueError):
         return {}
-    return said if isinstance(said, dict) else {}
+    return holder if isinstance(holder, dict) else {}
 
 
 def _id_of(state_dir: Path) -> str:

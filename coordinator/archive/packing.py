@@ -105,8 +105,8 @@ class PackingArchive(ABC):
             return dict(sorted((packed | self.unpacked()).items(), key=itemgetter(0)))
 
     def unpacked(self) -> dict[int, Place]:
-        found = ((index, path) for index, path in self._listing() if index is not None)
-        return dict(sorted(found, key=itemgetter(0)))
+        numbered = ((index, path) for index, path in self._listing() if index is not None)
+        return dict(sorted(numbered, key=itemgetter(0)))
 
     def foreign(self) -> list[Place]:
         known = {self.root / EPISODES / name for name in self._directories}
@@ -137,9 +137,9 @@ class PackingArchive(ABC):
             return self._set_aside(path, reason)
         index = index_of_file(path.name) or 0
         with self._packing:
-            found = self._shards.find(index) or path  # the shard may have been replaced since the path was listed
-            kept = self._keep_copy(found, reason)
-            self._remove(found.shard.name, {index})
+            current = self._shards.find(index) or path  # the shard may have been replaced since the path was listed
+            kept = self._keep_copy(current, reason)
+            self._remove(current.shard.name, {index})
         return kept
 
     def _file_of(self, index: int) -> Place:
@@ -230,9 +230,9 @@ class PackingArchive(ABC):
         if set(stored.names if stored is not None else ()) != self._directories.keys():
             self.write_shard_index()
 
-    def _replace_damaged(self, place: Place, found: ShardDirectory, damage: str) -> None:
+    def _replace_damaged(self, place: Place, directory: ShardDirectory, damage: str) -> None:
         """Writes a new shard with the intact episodes of a damaged shard, and quarantines the damaged shard."""
-        intact = ShardIndex.of(self.root / EPISODES, [found])
+        intact = ShardIndex.of(self.root / EPISODES, [directory])
         shard = self._write_shard(((index, path.read_bytes()) for index, path in intact), *range_of_shard(place.name))
         reason = f"{damage}; {len(intact)} intact episodes are kept in {shard.name}" if len(intact) else damage
         # if the names are equal, only the ZIP directory was damaged, and the new shard has replaced the damaged file

@@ -70,8 +70,8 @@ class SceneStore(ABC):
 
 def _require_digest(source: Path, sha256: str) -> None:
     try:
-        found = digest_of(source)
+        digest = digest_of(source)
     except FileNotFoundError as error:
         raise ArchiveCorrupt(f"{source} is missing, expected SHA-256 {sha256}: build the scene again") from error
-    if found != sha256:
-        raise ArchiveCorrupt(f"{source} has SHA-256 {found}, expected {sha256}: build the scene again")
+    if digest != sha256:
+        raise ArchiveCorrupt(f"{source} has SHA-256 {digest}, expected {sha256}: build the scene again")

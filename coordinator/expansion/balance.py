@@ -131,13 +131,13 @@ def layout_categories(plan: Plan, scene: ScenePlan) -> dict[Cell, Counter[str]]:
     if not isinstance(scene, LayoutPlan) or plan.balance == "instances":
         return {}
     number = plan.scenes.index(scene.family)
-    found: dict[Cell, Counter[str]] = {}
+    categories: dict[Cell, Counter[str]] = {}
     for (split, tier), places in scene.places.items():
         names = categories_of(scene, split)
         seed = plan.seed, _SEQUENCE_STREAM, number, int(split.is_held_out)
         sequence = _sequence(seed, len(names), scene.family.episodes)
-        found[split, tier] = Counter(names[int(sequence[place])] for place in places)
-    return found
+        categories[split, tier] = Counter(names[int(sequence[place])] for place in places)
+    return categories
 
 
 def planned_categories(plan: Plan) -> Counter[str]:

@@ -82,7 +82,9 @@ def read_entry(path: Path) -> SceneEntry:
         info = decode_geometry(file).info
     # layouts share most textures; interning stores equal digests once
     textures = tuple(sys.intern(texture.sha256) for texture in info.textures)
-    return SceneEntry(info if layout_number(info.name) is None else None, sha256, size, path, textures)
+    return SceneEntry(
+        info if layout_number(info.name) is None else None, sha256, size=size, path=path, textures=textures
+    )
 
 
 @functools.lru_cache(maxsize=_KEPT_INFOS)

@@ -19,6 +19,6 @@ def cells(plan: Plan, scene: ScenePlan) -> Cells:
 
 def empty_splits(plan: Plan) -> tuple[Split, ...]:
     """Returns the requested splits that get no episode, because the plan has too few episodes."""
-    asked = {split for scene in plan.scenes for split, share in plan.splits_of(scene).items() if share > 0}
+    wanted = {split for scene in plan.scenes for split, share in plan.splits_of(scene).items() if share > 0}
     filled = {split for scene in plan.scenes for split, _ in cells(plan, scene)}
-    return tuple(split for split in Split if split in asked - filled)
+    return tuple(split for split in Split if split in wanted - filled)

@@ -98,7 +98,9 @@ def expand_each(plan: Plan, catalog: Catalog) -> Iterator[PlannedJob]:
                 yield from expand_layout(plan, number, first_index, catalog[part.name])
         else:
             rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
-            yield from _expand_scene(next(scenes), rng, first_index, templates, quotas.get(part.name, {}))
+            yield from _expand_scene(
+                next(scenes), rng, first_index=first_index, templates=templates, quotas=quotas.get(part.name, {})
+            )
         first_index += part.episodes
 
 
@@ -117,7 +119,9 @@ def expand_layout(plan: Plan, number: int, first_index: int, entry: SceneEntry) 
     cells = scene_cells(plan, plan.parts[number], entry)
     raise_if_impossible(plan, (cells,))
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
-    yield from _expand_scene(cells, rng, first_index, Counter(), layout_categories(plan, cells.scene))
+    yield from _expand_scene(
+        cells, rng, first_index=first_index, templates=Counter(), quotas=layout_categories(plan, cells.scene)
+    )
 
 
 def _expand_scene(
@@ -149,7 +153,15 @@ def _expand_scene(
         target = next(option for option in options if option.target_id == target_id)
         colour = wording.colour_of(target)
         template_id = least_used(wording.templates(split, target), templates, rng)
-        episode = _episode(cells.scene.name, tier, split, target.category, target.target_id, colour, template_id)
+        episode = _episode(
+            cells.scene.name,
+            tier,
+            split=split,
+            category=target.category,
+            target_id=target.target_id,
+            colour=colour,
+            template_id=template_id,
+        )
         yield PlannedJob(index, 0, episode)
 
 

@@ -65,7 +65,7 @@ def sides_of(plan: Plan, scene: ScenePlan, targets: Sequence[Target], quota: Cel
     for category in sorted({target.category for target in options}):
         group = [target for target in options if target.category == category]
         sides |= _divide(plan, scene, [group[int(place)] for place in rng.permutation(len(group))], wanted)
-    return _with_all_cells_filled(plan, scene, quota, options, sides)
+    return _with_all_cells_filled(plan, scene, quota=quota, options=options, sides=sides)
 
 
 def shared_categories(sides: Sides, entry: SceneEntry) -> tuple[str, ...]:
@@ -84,8 +84,8 @@ def _divide(plan: Plan, scene: ScenePlan, group: list[Target], wanted: Mapping[S
         if side not in order:
             order[-1] = side
     for place, side in enumerate(wanted):
-        found = order.index(side)
-        order[place], order[found] = order[found], order[place]
+        position = order.index(side)
+        order[place], order[position] = order[position], order[place]
     return {target.target_id: side for target, side in zip(group, order, strict=True)}
 
 

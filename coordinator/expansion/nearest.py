@@ -53,7 +53,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> NearestPlan:
         if part is not None:
             kept.append(part)
         if part != scene:
-            changes.append(_change_message(plan, scene, part, catalog[scene.name], lost))
+            changes.append(_change_message(plan, scene, part=part, entry=catalog[scene.name], lost=lost))
     return NearestPlan(plan.model_copy(update={"scenes": tuple(kept)}) if kept else None, tuple(changes), moved)
 
 
@@ -62,8 +62,8 @@ def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | No
     part = _with_categories(plan, scene, scene_cells(plan, scene, entry).present)
     if part is None:
         return None
-    found = scene_cells(plan, part, entry)
-    if all(found.pool(*cell) for cell in found.quota):
+    scene_of_cells = scene_cells(plan, part, entry)
+    if all(scene_of_cells.pool(*cell) for cell in scene_of_cells.quota):
         return part
     # which cells would have targets if training and evaluation shared instances
     free = plan.model_copy(update={"disjoint_instances": False})
@@ -128,8 +128,8 @@ def _only(shares: Mapping[Share, float], kept: Iterable[Share]) -> dict[Share, f
     return {key: shares[key] / total for key in kept}
 
 
-def _moved(wanted: Cells, found: Cells) -> int:
-    return sum(max(0, count - found.get(cell, 0)) for cell, count in wanted.items())
+def _moved(wanted: Cells, quotas: Cells) -> int:
+    return sum(max(0, count - quotas.get(cell, 0)) for cell, count in wanted.items())
 
 
 def _change_message(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:

@@ -115,9 +115,9 @@ def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
     if any(troubles.values()):
         lines = [f"scenes.{key}: {trouble}" for key, trouble in troubles.items() if trouble]
         raise InvalidPlan(f"scene {scene.name!r} has invalid file names", lines)
-    found = {key: str((base / file).resolve()) for key, file in files.items() if file}
+    resolved = {key: str((base / file).resolve()) for key, file in files.items() if file}
     models = tuple(str((base / folder).resolve()) for folder in scene.models)
-    return scene.model_copy(update={**found, "models": models})
+    return scene.model_copy(update={**resolved, "models": models})
 
 
 def with_rig(plan: Plan, rig: Rig | None) -> Plan:

@@ -51,11 +51,11 @@ class Wording:
         if self._least_others is not None:
             return (FROM_START,) if self._of_category[target.category] > self._least_others else ()
         colour = self.colour_of(target)
-        found = templates_for(split, colour)
+        templates = templates_for(split, colour)
         if not self._needs_unique(target.category):
-            return found
+            return templates
         return tuple(
-            each for each in found if (target.category, colour if needs_colour(each) else None) in self._unique
+            each for each in templates if (target.category, colour if needs_colour(each) else None) in self._unique
         )
 
     def _needs_unique(self, category: str) -> bool:

@@ -49,13 +49,13 @@ def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
     nouns = composer_of(plan.language).missing_nouns(
         [name for each in plan.scenes for name in sum(each.categories, ())]
     )
-    found = [f"language: {line}" for line in nouns]
-    for number, cells in enumerate(each_scene(plan, catalog) if not found else ()):
+    missing_instructions = [f"language: {line}" for line in nouns]
+    for number, cells in enumerate(each_scene(plan, catalog) if not missing_instructions else ()):
         package = cells.entry.path
         probes = list(_probes(plan, cells, read_geometry(package), scene_language(package)))
         why = explain_impossible(scene_language(package), plan.language, probes) if probes else ""
-        found += [f"scenes[{number}] {cells.scene.name}: language: {why}"] if why else []
-    return found
+        missing_instructions += [f"scenes[{number}] {cells.scene.name}: language: {why}"] if why else []
+    return missing_instructions
 
 
 def _probes(plan: Plan, cells: SceneCells, scene: CompiledScene, prepared: SceneLanguage) -> Iterator[Probe]:

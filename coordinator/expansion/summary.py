@@ -67,8 +67,8 @@ def summarise(plan: Plan, catalog: Catalog) -> PlanSummary:
     return PlanSummary(
         part.episodes,
         dict(categories.most_common()),
-        dict(sorted(templates.items())),
-        ambiguous,
-        shown_alone,
-        dict(sorted(distractors.items())),
+        templates=dict(sorted(templates.items())),
+        ambiguous=ambiguous,
+        shown_alone=shown_alone,
+        distractors=dict(sorted(distractors.items())),
     )

@@ -69,19 +69,19 @@ class CoreLink:
             WorldError: the core refuses the request, or several cores reply.
         """
         key = verb_key(self.run, self._name, verb)
-        found = list(self._node.ask(key, message.model_dump_json(), _TIMEOUT_S))
-        if not found:
+        replies = list(self._node.ask(key, message.model_dump_json(), _TIMEOUT_S))
+        if not replies:
             self._reconnect()
             raise TransientError(
                 f"the coordinator does not answer request {verb!r} of gateway {self._name}; the request is repeated"
             )
-        if len(found) > 1:
+        if len(replies) > 1:
             raise WorldError(
-                f"{len(found)} coordinators answer gateway {self._name}; give --connect endpoints of one run only"
+                f"{len(replies)} coordinators answer gateway {self._name}; give --connect endpoints of one run only"
             )
         self._heard = time.monotonic()
         self._away.succeed()
-        return read_reply(found[0], kind, "the coordinator")
+        return read_reply(replies[0], kind, "the coordinator")
 
     def request_until_reply(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
         """Repeats a request until the core replies.
@@ -168,14 +168,14 @@ def require_owner(root: Path, run: str, gateway: str) -> None:
     if not has_owner(root):
         return
     try:
-        found = json.loads((root / OWNER_FILE).read_text(encoding="utf-8"))
+        content = json.loads((root / OWNER_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(
             f"{root / OWNER_FILE} cannot be read: {error}; give the --out of a gateway, or a new directory"
         ) from error
-    if found != {"run": run, "gateway": gateway}:
+    if content != {"run": run, "gateway": gateway}:
         raise UsageError(
-            f"{root} belongs to {found}, not to gateway {gateway!r} of run {run!r}: choose another --out or --name"
+            f"{root} belongs to {content}, not to gateway {gateway!r} of run {run!r}: choose another --out or --name"
         )
 
 

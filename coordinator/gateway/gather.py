@@ -165,7 +165,7 @@ def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_mi
 def _pack(archive: Archive, engine: Engine, plan: Plan, size: int) -> None:
     # gateways do not pack, because only the ledger knows the ranges whose jobs can no longer change
     with engine.connect() as connection:
-        pack_settled(archive, connection, plan, not has_open_jobs(connection), size)
+        pack_settled(archive, connection, plan=plan, is_over=not has_open_jobs(connection), size=size)
 
 
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
@@ -175,15 +175,15 @@ def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
         if digest_of(place) == one.sha256:
             return ""  # a previous call was interrupted before it updated the ledger
         archive.quarantine(place, f"its SHA-256 is not {one.sha256}, which the ledger has")
-    found = []
+    reasons = []
     for source in sources:
         path = episode_place(source, one.index)
         if path.is_file():
             why = _copy(archive, one, path)
             if not why:
                 return ""
-            found.append(why)
-    return "; ".join(found) or "found in none of the directories given"
+            reasons.append(why)
+    return "; ".join(reasons) or "found in none of the directories given"
 
 
 def _copy(archive: Archive, one: _Wanted, path: FilePlace) -> str:

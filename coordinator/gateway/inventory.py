@@ -64,10 +64,15 @@ def reconcile_directory(
     for path in archive.foreign():
         archive.quarantine(path, "its name is not that of an episode")
     present = archive.present()
-    for told in _inventories({index: path.stat().st_size for index, path in present.items()}, is_new=is_new):
-        while len((reply := core.request_until_reply(Verb.INVENTORY, told, InventoryReply, stop)).lost) == MAX_LOST:
+    for directory_inventory in _inventories(
+        {index: path.stat().st_size for index, path in present.items()}, is_new=is_new
+    ):
+        while (
+            len((reply := core.request_until_reply(Verb.INVENTORY, directory_inventory, InventoryReply, stop)).lost)
+            == MAX_LOST
+        ):
             inventory.lost += reply.lost
-        inventory.kept += len(told.files) - len(reply.strays)
+        inventory.kept += len(directory_inventory.files) - len(reply.strays)
         inventory.lost += reply.lost
         for stray in reply.strays:
             _settle(stray, present[stray.index], archive, core, checker, stop, inventory)
@@ -126,6 +131,6 @@ def _offer(
 def _job_of(path: Path, job: Job) -> Job:
     """Returns the job, with the attempt recorded in the file if that is a later attempt of the same draw."""
     with path.open("rb") as file, BundleReader(file) as bundle:
-        said = bundle.meta.job
-    is_later = said.draw == job.draw and said.attempt > job.attempt
-    return job.model_copy(update={"attempt": said.attempt}) if is_later else job
+        recorded = bundle.meta.job
+    is_later = recorded.draw == job.draw and recorded.attempt > job.attempt
+    return job.model_copy(update={"attempt": recorded.attempt}) if is_later else job

@@ -104,10 +104,10 @@ class Gateway(Closing):
 
         A full disk is not such a reason: workers must stay connected to deliver their bundles.
         """
-        found = [] if self._node.is_open else ["not listening to workers"]
+        findings = [] if self._node.is_open else ["not listening to workers"]
         if self._core.silence_s > _SILENCE_S:
-            found.append(f"the core has not answered for {self._core.silence_s:.0f} s")
-        return tuple(found)
+            findings.append(f"the core has not answered for {self._core.silence_s:.0f} s")
+        return tuple(findings)
 
     def snapshot(self) -> Snapshot:
         """Returns the metrics of the gateway; the metrics of the run are available from the core."""
@@ -131,7 +131,9 @@ class Gateway(Closing):
         files = guard.files if guard is not None else None
         return ZenohNode(
             listen,
-            lambda endpoints, admitted: router_config(endpoints, lease_s, files, admitted, self._connect),
+            lambda endpoints, admitted: router_config(
+                endpoints, lease_s, tls=files, admitted=admitted, connect=self._connect
+            ),
             guard.admitted if guard is not None else dict,
         )
 
@@ -150,11 +152,11 @@ class Gateway(Closing):
         return Pullers(
             self._archive,
             RemoteLedgerClient(self._core, self._archive, self._closing),
-            self._fetch,
-            checker,
-            self._settings,
-            lambda: None,
-            self._meters,
+            fetch=self._fetch,
+            checker=checker,
+            settings=self._settings,
+            on_archived=lambda: None,
+            meters=self._meters,
         )
 
     def _fetch(self, sid: str, ranges: Sequence[BundleRange]) -> bytes:
@@ -184,4 +186,6 @@ class Gateway(Closing):
 
 
 def _bundle_of(order: RelayOrder) -> IncomingBundle:
-    return IncomingBundle(order.lease, order.sid, order.sha256, order.size, order.job, order.candidates)
+    return IncomingBundle(
+        order.lease, order.sid, sha256=order.sha256, size=order.size, job=order.job, candidates=order.candidates
+    )

@@ -38,7 +38,7 @@ def retry(connection: Connection, indices: Sequence[int], now: datetime) -> Admi
         now: time of the request.
     """
     wanted = _current(connection, indices, (JobState.FAILED,))
-    return _move_all(connection, _RETRY, indices, wanted, now)
+    return _move_all(connection, _RETRY, named=indices, rows=wanted, now=now)
 
 
 def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
@@ -50,7 +50,7 @@ def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> Adm
         now: time of the request.
     """
     wanted = _current(connection, indices, sources(Event.CANCELLED))
-    return _move_all(connection, _CANCEL, indices, wanted, now)
+    return _move_all(connection, _CANCEL, named=indices, rows=wanted, now=now)
 
 
 def _current(connection: Connection, indices: Sequence[int], states: Sequence[JobState]) -> list[Any]:
@@ -59,10 +59,10 @@ def _current(connection: Connection, indices: Sequence[int], states: Sequence[Jo
     current = select(*columns).where(jobs.c.superseded.is_(False)).order_by(jobs.c.idx)
     if not indices:
         return list(connection.execute(current.where(jobs.c.state.in_(states))).all())
-    found: list[Any] = []
+    rows: list[Any] = []
     for start in range(0, len(indices), _BATCH):
-        found += connection.execute(current.where(jobs.c.idx.in_(indices[start : start + _BATCH]))).all()
-    return found
+        rows += connection.execute(current.where(jobs.c.idx.in_(indices[start : start + _BATCH]))).all()
+    return rows
 
 
 def _move_all(
@@ -147,5 +147,5 @@ def _change(connection: Connection, request: AdminRequest, now: datetime) -> Adm
 
 
 def _read(connection: Connection, key: str) -> str:
-    found = _VALUE.first(connection, {"wanted": key})
-    return "" if found is None else str(found.value)
+    row = _VALUE.first(connection, {"wanted": key})
+    return "" if row is None else str(row.value)

@@ -65,14 +65,14 @@ def insert_next_seed(connection: Connection, refused: BuildRow, now: datetime, a
 
 
 def _row(index: int, draw: int, layout: str, attempt: int, now: datetime) -> dict[str, Any]:
-    told = dict.fromkeys(("category", "target_id", "colour", "template_id", "instruction"), "")
+    columns = dict.fromkeys(("category", "target_id", "colour", "template_id", "instruction"), "")
     return {
         "idx": index,
         "draw": draw,
         "scene": layout,
         "tier": BUILD,
         "split": BUILD,
-        **told,
+        **columns,
         "state": JobState.PENDING,
         "attempt": attempt,
         "not_before": _AFTER_EPISODES,
@@ -140,7 +140,7 @@ def refused_seeds(connection: Connection) -> dict[str, tuple[str, ...]]:
         .where(jobs.c.tier == BUILD, attempts.c.outcome == FailReason.LAYOUT)
         .order_by(jobs.c.idx, jobs.c.draw)
     )
-    found: dict[str, tuple[str, ...]] = {}
+    seeds: dict[str, tuple[str, ...]] = {}
     for layout, detail in connection.execute(query):
-        found[layout] = (*found.get(layout, ()), detail)
-    return found
+        seeds[layout] = (*seeds.get(layout, ()), detail)
+    return seeds

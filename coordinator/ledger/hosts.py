@@ -103,7 +103,7 @@ def strike(connection: Connection, host: str, job: JobRow, reason: str, now: dat
     if row is None:
         fresh = {"host": host, "strikes": 0, "last_job": 0, "resumes_at": 0.0, "barred_at": None, "reason": ""}
         connection.execute(insert(hosts), fresh)
-    elif row.barred_at is not None or row.resumes_at > at or _is_of_job(connection, host, row, job, now):
+    elif row.barred_at is not None or row.resumes_at > at or _is_of_job(connection, host, row=row, job=job, now=now):
         return
     strikes = 1 + (row.strikes if row is not None else 0)
     values = {
@@ -232,8 +232,8 @@ def _make_room(connection: Connection, host: str, now: datetime) -> bool:
     """Removes silent sessions if necessary; returns whether another session of a host can be recorded."""
     before = now.timestamp() - _SILENT_S
     of_host, of_all = {"name": host}, dict[str, object]()
-    for parameters, found, most in ((of_host, _OF_HOST, SESSIONS_OF_HOST), (of_all, _OF_ALL, SESSIONS)):
-        row = found.first(connection, parameters)
+    for parameters, count_of, most in ((of_host, _OF_HOST, SESSIONS_OF_HOST), (of_all, _OF_ALL, SESSIONS)):
+        row = count_of.first(connection, parameters)
         if row is None or row.known < most:
             continue
         if row.oldest >= before:

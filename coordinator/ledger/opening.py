@@ -104,9 +104,9 @@ def open_run(
         raise ValueError("a shard of a run needs the packages of all layouts")
     with engine.begin() as connection:
         if holds_run(connection):
-            found = read_info(connection)
-            _check_is_ours(found, plan, catalog, {**found.scenes, **found.layouts})
-            require_shard(found.shard, shard)
+            recorded = read_info(connection)
+            _check_is_ours(recorded, plan, catalog, {**recorded.scenes, **recorded.layouts})
+            require_shard(recorded.shard, shard)
             _bring_up_to_date(connection)
             install_tallies(connection)
             facts = {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)}
@@ -151,11 +151,11 @@ def read_info(connection: Connection) -> LedgerInfo:
         raise UsageError("the database contains no ledger: start a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
     try:
-        found = _info_of(facts)
-        return replace(found, layouts=built_layouts(connection, found.plan.episodes))
+        recorded = _info_of(facts)
+        return replace(recorded, layouts=built_layouts(connection, recorded.plan.episodes))
     except (KeyError, ValueError, TypeError, OverflowError) as error:
-        said = str(error).splitlines()[0]
-        raise WorldError(f"the ledger is damaged: its description cannot be read ({said})") from error
+        reason = str(error).splitlines()[0]
+        raise WorldError(f"the ledger is damaged: its description cannot be read ({reason})") from error
 
 
 @functools.lru_cache(maxsize=2)
@@ -165,17 +165,17 @@ def _read_plan(text: str) -> Plan:
 
 
 def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
-    found = int(facts["format"])
-    if found > LEDGER_FORMAT:
+    format_number = int(facts["format"])
+    if format_number > LEDGER_FORMAT:
         raise UsageError(
-            f"the ledger has format {found}, this software reads formats up to {LEDGER_FORMAT}: use the newer "
+            f"the ledger has format {format_number}, this software reads formats up to {LEDGER_FORMAT}: use the newer "
             "minivla-factory that wrote it"
         )
     plan = _read_plan(facts["plan"])
     if (plan.digest, plan.run) != (facts["plan_digest"], facts["run"]):
         raise ValueError(f"its plan is not that of run {facts['run']}")
     return LedgerInfo(
-        format=found,
+        format=format_number,
         run=facts["run"],
         plan=plan,
         scenes=_SCENES.validate_json(facts["scenes"]),
@@ -276,19 +276,20 @@ def require_shard(recorded: RunShard | None, shard: RunShard | None) -> None:
     """
     if recorded != shard:
         had = "the whole run" if recorded is None else f"shard {recorded} of the run"
-        asked = "the whole run" if shard is None else f"shard {shard} of it"
+        wanted = "the whole run" if shard is None else f"shard {shard} of it"
         remedy = "without --shard" if recorded is None else f"with --shard {recorded}"
         raise UsageError(
-            f"the directory contains {had}, but {asked} was requested: continue it {remedy}, or choose another --out"
+            f"the directory contains {had}, but {wanted} was requested: continue it {remedy}, or choose another --out"
         )
 
 
-def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog, scenes: Mapping[str, str]) -> None:
-    require_plan(found.plan, plan)
+def _check_is_ours(recorded: LedgerInfo, plan: Plan, catalog: Catalog, scenes: Mapping[str, str]) -> None:
+    require_plan(recorded.plan, plan)
     for name, sha256 in scenes.items():
         if name not in catalog or catalog[name].sha256 != sha256:
             now = catalog[name].sha256[:16] if name in catalog else "none"
             raise WorldError(
-                f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {found.run} began, so new episodes "
+                f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {recorded.run} began, so new "
+                "episodes "
                 "would differ from the existing ones: restore the original scene, or choose another --out"
             )

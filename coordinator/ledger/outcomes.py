@@ -119,7 +119,7 @@ def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) ->
 
 def archive(connection: Connection, lease: Lease, summary: BundleReceipt, now: datetime) -> bool:
     """Records a published episode if the lease is in force; returns whether it was recorded."""
-    return _record_episode(connection, _ARCHIVE, lease_parameters(lease), summary, now)
+    return _record_episode(connection, _ARCHIVE, job=lease_parameters(lease), summary=summary, now=now)
 
 
 def record_package(
@@ -147,7 +147,7 @@ def record_package(
 
 def adopt(connection: Connection, job_id: int, summary: BundleReceipt, now: datetime) -> bool:
     """Records an episode that was published before a crash of the coordinator; its digest must be the announced one."""
-    return _record_episode(connection, _ADOPT, {"of_job": job_id}, summary, now)
+    return _record_episode(connection, _ADOPT, job={"of_job": job_id}, summary=summary, now=now)
 
 
 def fail(
@@ -179,9 +179,9 @@ def fail(
         return False
     if report.reason.is_task_failure:
         limits = budget_of_builds(budget) if row.tier == BUILD else budget
-        return _record_task_failure(connection, row, report, now, limits, successor)
+        return _record_task_failure(connection, row, report=report, now=now, budget=limits, successor=successor)
     if report.reason.is_worker_failure:
-        return _record_worker_failure(connection, row, report, now, budget, blames_hosts=blames_hosts)
+        return _record_worker_failure(connection, row, report=report, now=now, budget=budget, blames_hosts=blames_hosts)
     return _release(connection, row, report, now)
 
 
@@ -236,8 +236,8 @@ def _is_of_same_host(row: JobRow, sid: str) -> bool:
 
 def _was_reported(connection: Connection, report: Fail) -> bool:
     same = (attempts.c.job_id == report.lease.job_id, attempts.c.fence == report.lease.fence)
-    found = connection.execute(select(attempts.c.outcome).where(*same)).scalar()
-    return found == report.reason
+    outcome = connection.execute(select(attempts.c.outcome).where(*same)).scalar()
+    return outcome == report.reason
 
 
 def _record_task_failure(
@@ -269,7 +269,7 @@ def _record_worker_failure(
     crashes, host = row.crashes + 1, host_of(row.sid)
     is_last = crashes >= budget.crashes and (
         not blames_hosts
-        or hosts.has_failed_everywhere(connection, row, host, budget.crashes, now)
+        or hosts.has_failed_everywhere(connection, row, host=host, most=budget.crashes, now=now)
         or (crashes >= _CRASHES_ALONE and hosts.is_alone(connection, host, now))
     )
     last = f"{report.reason}: {report.detail}"
@@ -279,7 +279,7 @@ def _record_worker_failure(
     if not _settle(connection, _QUARANTINE if is_last else _WORKER_FAILED, row, report, now, values, settles=False):
         return False
     if blames_hosts:
-        hosts.strike(connection, host, row, last, now)
+        hosts.strike(connection, host, job=row, reason=last, now=now)
     return True
 
 

@@ -117,7 +117,12 @@ def record_whole(
     if obstacle:
         return obstacle
     outcomes.lose(connection, receipt.index, now, "the dataset has a different intact file of the episode")
-    row = _take(connection, _advance_to_draw(connection, plan, catalog, receipt.index, draw, now), attempt, now)
+    row = _take(
+        connection,
+        _advance_to_draw(connection, plan, catalog=catalog, index=receipt.index, draw=draw, now=now),
+        attempt,
+        now,
+    )
     done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
     outcomes.announce(connection, done, now, _LEASE_S)
     return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger changed during the repair"
@@ -140,7 +145,7 @@ def adopt_package(
         build = _made(_FREE[JobState(build.state)], connection, build, {}, now)
     lease = lease_of(_take(connection, build, build.attempt, now))
     outcomes.announce(connection, Done(sid=REPAIRER, lease=lease, sha256=sha256, size=size), now, _LEASE_S)
-    if not outcomes.record_package(connection, lease, sha256, sha256, planned, now):
+    if not outcomes.record_package(connection, lease, announced=sha256, package=sha256, planned=planned, now=now):
         raise AssertionError("the ledger was changed by another writer")
 
 
@@ -164,18 +169,23 @@ def record_failures(
         now: time of the repair.
         whole: mapping of episode to draw and attempt of its intact file; this and later attempts cannot have failed.
     """
-    heard = {_key(failure) for failure in known}
+    known_keys = {_key(failure) for failure in known}
     by_episode: dict[str, list[FailedAttempt]] = {}
     for failure in failures:
-        if _key(failure) not in heard:
+        if _key(failure) not in known_keys:
             by_episode.setdefault(failure.episode_id, []).append(failure)
     for index in range(1, plan.episodes + 1) if by_episode else ():
-        told = by_episode.get(episode_id(index))
-        row = current_job(connection, index) if told else None
-        if told and row is not None:
+        reported = by_episode.get(episode_id(index))
+        row = current_job(connection, index) if reported else None
+        if reported and row is not None:
             end = (row.draw, row.attempt) if row.state == JobState.ARCHIVED else whole.get(index)
             _record_failures_of_episode(
-                connection, plan, catalog, row, [one for one in told if _is_before(one, end)], now
+                connection,
+                plan,
+                catalog=catalog,
+                row=row,
+                failures=[one for one in reported if _is_before(one, end)],
+                now=now,
             )
 
 
@@ -191,17 +201,17 @@ def _is_before(failure: FailedAttempt, end: tuple[int, int] | None) -> bool:
 
 
 def _record_failures_of_episode(
-    connection: Connection, plan: Plan, catalog: Catalog, row: Row[Any], told: list[FailedAttempt], now: datetime
+    connection: Connection, plan: Plan, catalog: Catalog, row: Row[Any], failures: list[FailedAttempt], now: datetime
 ) -> None:
-    settled = list(_following(row, told))
+    settled = list(_following(row, failures))
     if settled and row.state != JobState.ARCHIVED:
-        _catch_up(connection, plan, catalog, row.idx, settled, now)
-    _insert_attempts(connection, row.idx, told)
+        _catch_up(connection, plan, catalog=catalog, index=row.idx, settled=settled, now=now)
+    _insert_attempts(connection, row.idx, failures)
 
 
-def _following(row: Row[Any], told: Iterable[FailedAttempt]) -> Iterator[FailedAttempt]:
+def _following(row: Row[Any], failures: Iterable[FailedAttempt]) -> Iterator[FailedAttempt]:
     """Yields the consecutive attempts that begin with the job's current attempt."""
-    by_attempt = {one.attempt: one for one in told if one.reason in _WORLD and one.draw >= row.draw}
+    by_attempt = {one.attempt: one for one in failures if one.reason in _WORLD and one.draw >= row.draw}
     attempt = row.attempt
     while attempt in by_attempt:
         yield by_attempt[attempt]
@@ -220,7 +230,7 @@ def _catch_up(
     misses = tried % plan.budget.attempts_per_draw  # a retry by an admin request grants the whole budget again
     is_used = misses == 0
     draw = last.draw + 1 if is_used and last.draw + 1 < plan.budget.draws else last.draw
-    row = _advance_to_draw(connection, plan, catalog, index, draw, now, last.attempt + 1)
+    row = _advance_to_draw(connection, plan, catalog=catalog, index=index, draw=draw, now=now, attempt=last.attempt + 1)
     row = _take(connection, row, last.attempt + 1, now)
     if is_used and draw == last.draw:
         _exhaust(connection, row, now, has_successor=False)
@@ -229,12 +239,12 @@ def _catch_up(
         connection.execute(update(jobs).where(jobs.c.id == row.id).values(misses=misses))
 
 
-def _insert_attempts(connection: Connection, index: int, told: Iterable[FailedAttempt]) -> None:
+def _insert_attempts(connection: Connection, index: int, failures: Iterable[FailedAttempt]) -> None:
     """Inserts failed attempts of an episode, except those of draws that the ledger does not have."""
     ids = {row.draw: row.id for row in connection.execute(select(jobs.c.draw, jobs.c.id).where(jobs.c.idx == index))}
     ended = select(attempts.c.attempt).where(attempts.c.idx == index, attempts.c.settles)
     seen = set(connection.execute(ended).scalars())
-    for row in told:
+    for row in failures:
         if row.draw not in ids:
             continue
         settles = row.reason in _WORLD and row.attempt not in seen

@@ -45,8 +45,8 @@ def end_unfinished_jobs(
         shard: number and count of the shard.
         now: time of the call.
     """
-    found = connection.execute(_PENDING, {"first": numbers[0], "last": numbers[-1]}).all()
-    ended = [row for row in found if row.idx not in kept]
+    pending = connection.execute(_PENDING, {"first": numbers[0], "last": numbers[-1]}).all()
+    ended = [row for row in pending if row.idx not in kept]
     for row in ended:
         _end(connection, row, shard, now)
     return len(ended)

@@ -40,9 +40,9 @@ def access_control(admitted: Mapping[str, Role]) -> dict[str, Any]:
     rules = list(_SHARED)
     policies = []
     for name, role in sorted(admitted.items()):
-        own, shared = _granted(name, role)
-        rules += own
-        policies.append({"rules": [*shared, *(rule["id"] for rule in own)], "subjects": [name]})
+        own_rules, shared = _granted(name, role)
+        rules += own_rules
+        policies.append({"rules": [*shared, *(rule["id"] for rule in own_rules)], "subjects": [name]})
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -57,16 +57,16 @@ def _granted(name: str, role: Role) -> tuple[list[dict[str, Any]], Sequence[str]
     if role is Role.COORDINATOR:
         return [], _OF_CORE
     verbs = [verb_key(_ANY_RUN, name, verb) for verb in _VERBS[role]]
-    own = [_rule(f"ask-{name}", "ingress", ["query"], verbs), _rule(f"tell-{name}", "egress", ["reply"], verbs)]
+    rules = [_rule(f"ask-{name}", "ingress", ["query"], verbs), _rule(f"tell-{name}", "egress", ["reply"], verbs)]
     if role is Role.OPERATOR:
-        return own, _OF_ALL
+        return rules, _OF_ALL
     if role is Role.GATEWAY:
-        return own, (*_OF_ALL, *_OF_SCENES, *_OF_GATEWAYS)
+        return rules, (*_OF_ALL, *_OF_SCENES, *_OF_GATEWAYS)
     if role is Role.EVALUATOR:
-        return own, (*_OF_ALL, *_OF_EVALUATORS)
+        return rules, (*_OF_ALL, *_OF_EVALUATORS)
     mine = [_subtree(name)]
-    own += [_rule(f"serve-{name}", "ingress", _SERVING, mine), _rule(f"fetch-{name}", "egress", ["query"], mine)]
-    return own, (*_OF_ALL, *_OF_SCENES)
+    rules += [_rule(f"serve-{name}", "ingress", _SERVING, mine), _rule(f"fetch-{name}", "egress", ["query"], mine)]
+    return rules, (*_OF_ALL, *_OF_SCENES)
 
 
 def _subtree(name: str) -> str:

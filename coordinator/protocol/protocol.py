@@ -171,8 +171,8 @@ def _mistakes(error: ValidationError) -> str:
     count = error.error_count()
     if count > 10 * _SHOWN_MISTAKES:
         return f"{count} mistakes"
-    found = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
-    lines = (f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
+    mistakes = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
+    lines = (f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in mistakes)
     return "; ".join(lines).replace("\n", "; ")
 
 
@@ -225,7 +225,13 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     pause_s = hosts.pause_of(connection, host, now)
     may_start = may_start and pause_s == 0
     row = claims.claim(
-        connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start, can_build=claim.can_build
+        connection,
+        claim.sid,
+        token=claim.token,
+        now=now,
+        ttl_s=terms.lease_ttl_s,
+        may_start=may_start,
+        can_build=claim.can_build,
     )
     if row is not None and row.tier == BUILD:
         known = terms.textures.get(family_of(row.scene), frozenset())
@@ -282,11 +288,20 @@ def _bundle_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_val
     if row.tier == BUILD:
         build = BuildJob(row.idx, row.scene, number_of_layout(terms.plan, row))
         return IncomingBundle(
-            lease_of(row), sid, row.sha256, row.size, build, ()
+            lease_of(row), sid, sha256=row.sha256, size=row.size, job=build, candidates=()
         )  # no gateway pulls the package of a layout
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     candidates = candidates_of(job, terms.catalog[job.scene].info)
-    return IncomingBundle(lease_of(row), sid, row.sha256, row.size, job, candidates, via, is_validated)
+    return IncomingBundle(
+        lease_of(row),
+        sid,
+        sha256=row.sha256,
+        size=row.size,
+        job=job,
+        candidates=candidates,
+        via=via,
+        is_validated=is_validated,
+    )
 
 
 _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(

@@ -89,8 +89,8 @@ def _hold(connection: Connection, hold: ExtendLease, gateway: str, terms: Terms,
     return Ack(accepted=claims.extend(connection, hold.lease, now, hold.seconds))
 
 
-def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms, now: datetime) -> Model:
-    summary = told.summary
+def _archived(connection: Connection, report: Archived, gateway: str, terms: Terms, now: datetime) -> Model:
+    summary = report.summary
     row = connection.execute(_DRAW, {"index": summary.index, "of_draw": summary.draw}).first()
     if row is None:
         return Ack(accepted=False)
@@ -99,8 +99,8 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
         return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
     if archived.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
         return Ack(accepted=True)  # the gateway repeats a request whose reply was lost
-    if told.lease is not None:
-        accepted = outcomes.archive(connection, told.lease, summary, now)
+    if report.lease is not None:
+        accepted = outcomes.archive(connection, report.lease, summary, now)
     else:
         accepted = _adopt(connection, summary, terms, now)
     if accepted:
@@ -134,29 +134,29 @@ def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: d
     if row.state == JobState.SUBMITTED and row.sha256 == summary.file_sha256:
         return outcomes.adopt(connection, row.id, summary, now)
     at = (summary.draw, summary.attempt)
-    return record_whole(connection, terms.plan, terms.catalog, summary, now, at) == ""
+    return record_whole(connection, terms.plan, catalog=terms.catalog, receipt=summary, now=now, at=at) == ""
 
 
-def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, now: datetime) -> Model:
+def _refused(connection: Connection, refusal: Refused, gateway: str, terms: Terms, now: datetime) -> Model:
     report = Fail(
-        sid=told.sid,
-        lease=told.lease,
+        sid=refusal.sid,
+        lease=refusal.lease,
         reason=FailReason.INVALID,
-        detail=cut_detail(f"at gateway {gateway}: {told.detail}"),
+        detail=cut_detail(f"at gateway {gateway}: {refusal.detail}"),
     )
     return Ack(accepted=fail_attempt(connection, report, terms, now))
 
 
-def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
-    if told.is_new and (kept := archived.count_by_gateway(connection).get(gateway)):
+def _inventory(connection: Connection, inventory: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
+    if inventory.is_new and (kept := archived.count_by_gateway(connection).get(gateway)):
         return Refusal(
             error=f"the ledger has {kept} episodes at gateway {gateway}, but the gateway's directory is new: "
             "give the --out of its previous start, or another --name; lost episodes are generated again after "
             "`factory gather CORE_DIR --requeue-missing`"
         )
-    files = {index: ListedFile(size) for index, size in told.files if told.first <= index <= told.last}
+    files = {index: ListedFile(size) for index, size in inventory.files if inventory.first <= index <= inventory.last}
     owned, wrong = set(), {}
-    for index, record in archived.records_of_gateway(connection, gateway, told.first, told.last):
+    for index, record in archived.records_of_gateway(connection, gateway, inventory.first, inventory.last):
         owned.add(index)
         if why := describe_difference(files.get(index), record):
             wrong[index] = why

@@ -132,7 +132,9 @@ class Router(Closing):
 
     def _config(self, endpoints: Sequence[str], admitted: Admitted) -> zenoh.Config:
         files = self._guard.files if self._guard is not None else None
-        return router_config(endpoints, self._settings.transport_lease_s, files, admitted, self._connect)
+        return router_config(
+            endpoints, self._settings.transport_lease_s, tls=files, admitted=admitted, connect=self._connect
+        )
 
     def _declare(self, session: zenoh.Session) -> None:
         self._present.clear()  # workers that reconnect to a new session declare their liveliness token again

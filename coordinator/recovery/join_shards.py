@@ -133,14 +133,14 @@ def require_joinable(shards: Sequence[tuple[Place, ShardState]], plan: Plan, *, 
 
 
 def _require_each_once(shards: Sequence[tuple[Place, ShardState]], count: int, *, partial: bool) -> None:
-    found: dict[int, Place] = {}
+    places: dict[int, Place] = {}
     for place, state in shards:
-        twin = found.setdefault(state.shard.number, place)
+        twin = places.setdefault(state.shard.number, place)
         if twin is not place:
             raise UsageError(f"{place} and {twin} are both shard {state.shard}: give one of them")
     if partial:
         return
-    missing = [f"{number}/{count}" for number in range(1, count + 1) if number not in found]
+    missing = [f"{number}/{count}" for number in range(1, count + 1) if number not in places]
     if missing:
         raise UsageError(
             f"{len(missing)} of {count} shards are missing: {_some(missing)}; give them too, or join the others with "
@@ -186,17 +186,19 @@ def join_shards(
         archive = stack.enter_context(open_archive(target.state_dir, store))
         engine = open_writer(target.url)
         stack.callback(engine.dispose)
-        open_run(engine, target.plan, target.catalog, CoordinatorSettings().lease_ttl_s, now)
+        open_run(engine, target.plan, catalog=target.catalog, lease_ttl_s=CoordinatorSettings().lease_ttl_s, now=now)
         for name, entry in target.catalog.items():
             archive.add_scene(entry.path, name, entry.sha256, entry.textures)
         for done, (place, state) in enumerate(sorted(shards, key=lambda one: one[1].shard.number), 1):
             numbers = state.shard.numbers(target.plan.episodes)
-            copied, refused = _copy_episodes(archive, engine, target, place, numbers, checker)
+            copied, refused = _copy_episodes(
+                archive, engine, target=target, place=place, numbers=numbers, checker=checker
+            )
             _record(engine, target, place, numbers, copied, now)
             if state.finished:
                 kept = list_episodes(place).episodes.keys() | validated_files(place, target.plan).keys()
                 with engine.begin() as connection:
-                    end_unfinished_jobs(connection, numbers, kept, str(state.shard), now)
+                    end_unfinished_jobs(connection, numbers, kept=kept, shard=str(state.shard), now=now)
             gathered += len(copied)
             rejected += refused
             on_progress(done, len(shards))
@@ -277,9 +279,9 @@ def _record(
     ends: Mapping[int, tuple[int, int]] = {one.index: (one.draw, one.attempt) for one in copied}
     with engine.begin() as connection:
         known = list(LedgerFailures(connection).rows(numbers[0], numbers[-1]))
-        told = failures_of(place, PlannedDraws(plan, catalog, connection))
-        record_failures(connection, plan, catalog, told, known, now, ends)
+        failures = failures_of(place, PlannedDraws(plan, catalog, connection))
+        record_failures(connection, plan, catalog=catalog, failures=failures, known=known, now=now, whole=ends)
         for one in copied:
-            trouble = record_whole(connection, plan, catalog, one, now, ends[one.index])
+            trouble = record_whole(connection, plan, catalog=catalog, receipt=one, now=now, at=ends[one.index])
             # the files were classified with this ledger, and the lock excludes other writers
             assert not trouble, trouble

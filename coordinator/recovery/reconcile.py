@@ -79,12 +79,12 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: BundleVal
     difference = diff_archive({index: ListedFile(path.stat().st_size) for index, path in present.items()}, recorded)
     unsure = {index: present[index] for index in difference.strays}
     # if no validator can be started, the start ends: quarantine would discard intact episodes when memory is short
-    verdicts = _validate_all(archive, engine, terms, checker, unsure, difference)
+    verdicts = _validate_all(archive, engine, terms=terms, checker=checker, unsure=unsure, difference=difference)
     _require_own_plan(archive, terms, verdicts, len(recorded))
     result.quarantined += [archive.quarantine(path, "its name is not that of an episode") for path in archive.foreign()]
     with engine.begin() as connection:
         for index in difference.missing:
-            _requeue(connection, index, now, GONE, result)
+            _requeue(connection, index, now=now, reason=GONE, result=result)
         for index in difference.elsewhere:
             record_at_core(connection, index)  # `factory gather` was interrupted after it copied the file
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
@@ -119,16 +119,19 @@ def _validate_all(
         return {}
     with engine.connect() as ledger:
         if terms.evaluation is not None:
-            return {index: _validate_result(ledger, index, path, terms, checker) for index, path in unsure.items()}
+            return {
+                index: _validate_result(ledger, index, path=path, terms=terms, checker=checker)
+                for index, path in unsure.items()
+            }
         validated = validated_files(archive.root, terms.plan)
         classifier = StrayClassifier(
             PlannedDraws(terms.plan, terms.catalog, ledger), cast(EpisodeValidator, checker), ledger, validated
         )
-        found = {
+        verdicts = {
             index: classifier.classify(path, index, replaces=index in difference.changed)
             for index, path in unsure.items()
         }
-    return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
+    return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in verdicts.items()}
 
 
 def _validate_result(
@@ -153,8 +156,8 @@ def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Ve
     Raises:
         UsageError: all files belong to another run, which the message names.
     """
-    strange = [found for found in verdicts.values() if isinstance(found, ForeignEpisode)]
-    if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
+    strange = [verdict for verdict in verdicts.values() if isinstance(verdict, ForeignEpisode)]
+    if strange and not owned and all(isinstance(verdict, str) for verdict in verdicts.values()):
         raise UsageError(
             f"{archive.root} has {len(strange)} episodes, and none belongs to run {terms.plan.run}; the first is "
             f"{strange[0]}: give the plan of the dataset, or choose another --out"
@@ -171,12 +174,12 @@ def _settle(
     changed: Mapping[int, str],
     result: Reconciled,
 ) -> None:
-    whole = {index: found[0] for index, found in verdicts.items() if not isinstance(found, str)}
-    episodes_found = {index: found for index, found in whole.items() if isinstance(found, EpisodeSummary)}
+    whole = {index: verdict[0] for index, verdict in verdicts.items() if not isinstance(verdict, str)}
+    episodes_found = {index: verdict for index, verdict in whole.items() if isinstance(verdict, EpisodeSummary)}
     if terms.evaluation is None:
-        restore_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
-    for index, found in verdicts.items():
-        refusal = found if isinstance(found, str) else _adopt(engine, terms, *found, now)
+        restore_failures(engine, archive.root, plan=terms.plan, catalog=terms.catalog, now=now, whole=episodes_found)
+    for index, verdict in verdicts.items():
+        refusal = verdict if isinstance(verdict, str) else _adopt(engine, terms, *verdict, now)
         if not refusal:
             result.adopted.append(index)
             continue
@@ -185,12 +188,14 @@ def _settle(
         result.quarantined.append(archive.quarantine(unsure[index], refusal))
         if index in changed:
             with engine.begin() as connection:
-                _requeue(connection, index, now, refusal, result)
+                _requeue(connection, index, now=now, reason=refusal, result=result)
 
 
 def _adopt(engine: Engine, terms: Terms, receipt: BundleReceipt, at: tuple[int, int], now: datetime) -> str:
     with engine.begin() as connection:
-        refusal = record_whole(connection, terms.plan, terms.catalog, receipt, now, at, replaces=True)
+        refusal = record_whole(
+            connection, terms.plan, catalog=terms.catalog, receipt=receipt, now=now, at=at, replaces=True
+        )
         if refusal:
             connection.rollback()
     return refusal

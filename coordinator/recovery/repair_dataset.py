@@ -163,11 +163,18 @@ def repair(
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
         trouble = dataset.foreign_ledger or ledger_trouble(dataset.url, dataset.catalog)
         with _reading(dataset.url, trouble) as ledger:
-            survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, on_progress)
+            survey = survey_archive(
+                dataset.root,
+                dataset.plan,
+                catalog=dataset.catalog,
+                ledger=ledger,
+                checker=checker,
+                on_progress=on_progress,
+            )
             actions += [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
             actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:
-            _apply_actions(dataset, archive, survey, trouble, now)
+            _apply_actions(dataset, archive, survey=survey, trouble=trouble, now=now)
         return RepairReport(
             dataset=str(dataset.root),
             run=dataset.plan.run,
@@ -249,30 +256,30 @@ def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool
 
 
 def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
-    found: dict[str, str] = {}
+    findings: dict[str, str] = {}
     digests = read_column(root / METADATA_FILE, "content_digest")
     if isinstance(digests, str):
-        found[METADATA_FILE] = digests
+        findings[METADATA_FILE] = digests
     elif ledger is not None:
         owned = read_content_digests(ledger)
         if owned != digests:
-            found[METADATA_FILE] = f"its {len(digests)} rows differ from the {len(owned)} episodes of the ledger"
+            findings[METADATA_FILE] = f"its {len(digests)} rows differ from the {len(owned)} episodes of the ledger"
     reasons = read_column(root / ATTEMPTS_FILE, "reason")
     if isinstance(reasons, str):
-        found[ATTEMPTS_FILE] = reasons
+        findings[ATTEMPTS_FILE] = reasons
     elif ledger is not None:
         failed = count_failures(ledger)
         if failed != len(reasons):
-            found[ATTEMPTS_FILE] = f"it has {len(reasons)} rows, the ledger has {failed} failed attempts"
+            findings[ATTEMPTS_FILE] = f"it has {len(reasons)} rows, the ledger has {failed} failed attempts"
     try:
         read_dataset_meta(root)
     except WorldError as error:
-        found[META_FILE] = str(error)
+        findings[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
-        found[CARD_FILE] = "is missing"
+        findings[CARD_FILE] = "is missing"
     with suppress(ArchiveCorrupt):  # the unreadable `metadata.parquet` is reported above
-        found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
-    return found
+        findings |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
+    return findings
 
 
 def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
@@ -295,13 +302,25 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
         quarantine_ledger(archive, dataset.url, trouble)
     engine = open_writer(dataset.url)
     try:
-        open_run(engine, dataset.plan, dataset.catalog, _lease_ttl_of(engine), now, shard=dataset.shard)
+        open_run(
+            engine,
+            dataset.plan,
+            catalog=dataset.catalog,
+            lease_ttl_s=_lease_ttl_of(engine),
+            now=now,
+            shard=dataset.shard,
+        )
         with engine.begin() as connection:
             for index, why in survey.requeue:
                 lose(connection, index, now, why)
         whole = [*survey.adopt, *(summary for _, summary in survey.restore)]
         restore_failures(
-            engine, dataset.root, dataset.plan, dataset.catalog, now, {summary.index: summary for summary in whole}
+            engine,
+            dataset.root,
+            plan=dataset.plan,
+            catalog=dataset.catalog,
+            now=now,
+            whole={summary.index: summary for summary in whole},
         )
         for summary in whole:
             _adopt(engine, dataset, archive, summary, now)
@@ -321,7 +340,9 @@ def _set_aside_damaged(archive: Archive, place: Place, sha256: str, why: str) ->
 def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
     with engine.begin() as connection:
         at = (summary.draw, summary.attempt)
-        refusal = record_whole(connection, dataset.plan, dataset.catalog, summary, now, at, replaces=True)
+        refusal = record_whole(
+            connection, dataset.plan, catalog=dataset.catalog, receipt=summary, now=now, at=at, replaces=True
+        )
         if refusal:
             connection.rollback()
     if refusal:

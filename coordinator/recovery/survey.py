@@ -81,9 +81,9 @@ def restore_failures(
         if not whole and _failed_attempts(root) <= count_failures(connection):
             return
         known = list(read_failures(connection))
-        told = list(failures_of(root, PlannedDraws(plan, catalog, connection)))
+        failures = list(failures_of(root, PlannedDraws(plan, catalog, connection)))
         ends = {index: (summary.draw, summary.attempt) for index, summary in whole.items()}
-        record_failures(connection, plan, catalog, told, known, now, ends)
+        record_failures(connection, plan, catalog=catalog, failures=failures, known=known, now=now, whole=ends)
 
 
 def _failed_attempts(root: Place) -> int:
@@ -192,18 +192,20 @@ class StrayClassifier:
             with local_copy(path) as local:
                 with local.open("rb") as file, BundleReader(file) as bundle:
                     meta = bundle.meta
-                said, plan = meta.job, self._draws.plan
-                if said.plan_digest != plan.digest:
-                    return ForeignEpisode(f"an episode of run {said.run}, which has a different plan than {plan.run}")
-                job = self._draws.job(index, said.draw, said.attempt)
+                recorded, plan = meta.job, self._draws.plan
+                if recorded.plan_digest != plan.digest:
+                    return ForeignEpisode(
+                        f"an episode of run {recorded.run}, which has a different plan than {plan.run}"
+                    )
+                job = self._draws.job(index, recorded.draw, recorded.attempt)
                 if job is None:
-                    return f"the plan has no draw {said.draw} of {episode_id(index)}"
+                    return f"the plan has no draw {recorded.draw} of {episode_id(index)}"
                 if self._ledger is not None:
-                    obstacle = obstacle_to(self._ledger, index, said.draw, said.attempt, replaces=replaces)
+                    obstacle = obstacle_to(self._ledger, index, recorded.draw, recorded.attempt, replaces=replaces)
                     if obstacle:
                         return obstacle
                 sha256 = self._validated.get(index)
-                if job == said and sha256 is not None and digest_of(local) == sha256:
+                if job == recorded and sha256 is not None and digest_of(local) == sha256:
                     return summary_of(meta, sha256, local.stat().st_size)
                 return self._checker.check(local, job, candidates_of(job, self._draws.catalog[job.scene].info))
         except InvalidBundle as error:
@@ -215,14 +217,14 @@ class StrayClassifier:
 def count_plans(root: Place) -> Counter[str]:
     """Returns the number of episodes per plan digest in a sample of a dataset; damaged files are skipped."""
     files = list(list_episodes(root).episodes.values())
-    found: Counter[str] = Counter()
+    plans: Counter[str] = Counter()
     for path in files[:: max(1, len(files) // _SAMPLE)]:
         try:
             with local_copy(path) as local, local.open("rb") as file, BundleReader(file) as bundle:
-                found[bundle.meta.job.plan_digest] += 1
+                plans[bundle.meta.job.plan_digest] += 1
         except (InvalidBundle, OSError):
             continue
-    return found
+    return plans
 
 
 ProgressCallback = Callable[[int, int], None]
@@ -271,11 +273,18 @@ def survey_archive(
     difference = diff_archive(_read_files(files, recorded, on_progress), recorded)
     result.whole = len(difference.same) + len(difference.elsewhere)
     for done, index in enumerate(difference.strays, result.whole + 1):
-        _classify(files[index], index, difference.changed.get(index), classifier, result, recorded.get(index))
+        _classify(
+            files[index],
+            index,
+            change=difference.changed.get(index),
+            classifier=classifier,
+            result=result,
+            record=recorded.get(index),
+        )
         on_progress(done, len(files))
     missing = set(difference.missing)
-    found = {summary.index for summary in result.adopt} | (recorded.keys() - missing)
-    result.restore += _restorable(root, classifier, found)
+    present = {summary.index for summary in result.adopt} | (recorded.keys() - missing)
+    result.restore += _restorable(root, classifier, present)
     back = {summary.index for _, summary in result.restore}
     result.requeue += [(index, GONE) for index in sorted(missing - back)]
     result.requeue = [(index, why) for index, why in result.requeue if index not in back]
@@ -289,12 +298,12 @@ def _read_files(
 
     The digest is omitted if the file has no record or not the recorded size.
     """
-    found, done = {}, count(1)
+    listed, done = {}, count(1)
     for index, path in files.items():
-        found[index] = _read_file(path, recorded.get(index))
-        if index in recorded and found[index].sha256 == recorded[index].sha256:
+        listed[index] = _read_file(path, recorded.get(index))
+        if index in recorded and listed[index].sha256 == recorded[index].sha256:
             on_progress(next(done), len(files))
-    return found
+    return listed
 
 
 def _read_file(path: FilePlace, record: RecordedFile | None) -> ListedFile:
@@ -325,9 +334,9 @@ def _classify(
         result.requeue.append((index, change))
 
 
-def _restorable(root: Place, classifier: StrayClassifier, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
+def _restorable(root: Place, classifier: StrayClassifier, indices: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
     """Yields quarantined files that are intact episodes of the plan and missing in the dataset."""
-    had = set(found)
+    had = set(indices)
     for path in children(root / QUARANTINE):
         name, _, mark = path.name.rpartition(".")
         index = index_of_file(name) if mark != "txt" else None

@@ -97,16 +97,16 @@ class HealthMonitor:
 
         A full disk is not such a reason: workers must stay connected to deliver their bundles.
         """
-        found = []
+        findings = []
         if not self._is_listening():
-            found.append("not listening to workers")
+            findings.append("not listening to workers")
         try:
             self._writer.submit(lambda _connection: None).result(_COMMIT_S)
         except FutureTimeout:
-            found.append(f"the ledger has not committed within {_COMMIT_S:g} s")
+            findings.append(f"the ledger has not committed within {_COMMIT_S:g} s")
         except FactoryError as error:
-            found.append(str(error))
-        return tuple(found)
+            findings.append(str(error))
+        return tuple(findings)
 
     def snapshot(self) -> Snapshot:
         """Returns the metrics, cached for one second, so frequent requests do not load the ledger."""

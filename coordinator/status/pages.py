@@ -133,8 +133,8 @@ class Exposition:
         family: Any = self._core.GaugeMetricFamily(name, text, labels=(label,))
         for key, value in sorted(values.items()):
             family.add_metric((key,), value)
-        found: Metric = family
-        return found
+        metric: Metric = family
+        return metric
 
 
 class Pages:

@@ -137,8 +137,8 @@ class HttpServer(Closing):
 
 def closing_of(scope: Scope) -> asyncio.Event:
     """Returns the event that is set when the server of a request begins to close."""
-    found: asyncio.Event = scope[_CLOSING]
-    return found
+    closing: asyncio.Event = scope[_CLOSING]
+    return closing
 
 
 class StatusServer(HttpServer):
@@ -273,11 +273,11 @@ class _StatusApp:
             return plain_page(HTTPStatus.MISDIRECTED_REQUEST, text)
         if scope["method"] not in ("GET", "HEAD"):
             return plain_page(HTTPStatus.METHOD_NOT_ALLOWED, "use GET or HEAD")
-        asked = (scope["path"], headers.get(b"authorization", ""))
+        request = (scope["path"], headers.get(b"authorization", ""))
         if scope["path"] == "/healthz":
-            return self._pages.answer(*asked)  # independent of threads that wait for the ledger
+            return self._pages.answer(*request)  # independent of threads that wait for the ledger
         try:
-            return await asyncio.get_running_loop().run_in_executor(self._threads, self._pages.answer, *asked)
+            return await asyncio.get_running_loop().run_in_executor(self._threads, self._pages.answer, *request)
         except Exception:
             log.exception("status_page_failed", path=scope["path"][:80])
             return plain_page(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; see the coordinator's log")

@@ -77,31 +77,31 @@ class TableAggregates:
 
 def aggregate_episodes(table: pa.Table) -> TableAggregates:
     """Returns the aggregates of rows of `metadata.parquet`."""
-    found = TableAggregates(rows=len(table), renderers=set(table["renderer"].unique().to_pylist()))
-    found.makers.update((row["renderer"], row["software"], row["cpu"]) for row in _sums(table, _MAKER, ()))
+    totals = TableAggregates(rows=len(table), renderers=set(table["renderer"].unique().to_pylist()))
+    totals.makers.update((row["renderer"], row["software"], row["cpu"]) for row in _sums(table, _MAKER, ()))
     for row in _sums(table, ["target_category"], ()):
-        found.categories[row["target_category"]] = row["count_all"]
+        totals.categories[row["target_category"]] = row["count_all"]
     for row in _sums(table, _CELL, ()):
-        found.counts[family_of(row["scene"]), row["split"], row["spawn_tier"]] += row["count_all"]
-    for key, sums in (("scene", found.scenes), ("spawn_tier", found.tiers)):
+        totals.counts[family_of(row["scene"]), row["split"], row["spawn_tier"]] += row["count_all"]
+    for key, sums in (("scene", totals.scenes), ("spawn_tier", totals.tiers)):
         for row in _sums(table, [key], _SUMS):
             of_row = EpisodeSums(row["count_all"], *(row[f"{name}_sum"] for name in _SUMS))
             sums[family_of(row[key])].add(of_row)
-    return found
+    return totals
 
 
 def aggregate_failures(table: pa.Table) -> TableAggregates:
     """Returns the aggregates of rows of `attempts.parquet`."""
-    found = TableAggregates(rows=len(table))
+    totals = TableAggregates(rows=len(table))
     for row in _sums(table, ["scene", "reason"], ()):
-        found.refused[family_of(row["scene"])] += row["count_all"] * (row["reason"] in _TASK_FAILURES)
-    return found
+        totals.refused[family_of(row["scene"])] += row["count_all"] * (row["reason"] in _TASK_FAILURES)
+    return totals
 
 
 def _sums(table: pa.Table, keys: list[str], columns: Sequence[str]) -> list[dict[str, Any]]:
     """Returns row counts and column sums by key; with one thread, so floating-point sums are reproducible."""
     grouped = table.group_by(keys, use_threads=False)
-    found: list[dict[str, Any]] = grouped.aggregate(
+    sums: list[dict[str, Any]] = grouped.aggregate(
         [*((name, "sum") for name in columns), ([], "count_all")]
     ).to_pylist()
-    return found
+    return sums

@@ -269,8 +269,8 @@ def with_shards(card: str, shards: int) -> str:
     """Returns the card with the current number of shards. Without shards, the line is removed."""
     lines = [line for line in card.splitlines(keepends=True) if not line.startswith(_SHARDS)]
     at = next((number for number, line in enumerate(lines) if line.startswith("- `data/")), len(lines))
-    said = f"{_SHARDS}ZIP files of episodes, {shards} in total; `shards.parquet` lists the place of each episode.\n"
-    return "".join([*lines[:at], said, *lines[at:]] if shards else lines)
+    text = f"{_SHARDS}ZIP files of episodes, {shards} in total; `shards.parquet` lists the place of each episode.\n"
+    return "".join([*lines[:at], text, *lines[at:]] if shards else lines)
 
 
 def _software_part(aggregates: TableAggregates, stores_frames: bool) -> str:
@@ -293,9 +293,9 @@ def _software_part(aggregates: TableAggregates, stores_frames: bool) -> str:
 def _scene_table(aggregates: TableAggregates) -> str:
     rows = []
     for scene in sorted(aggregates.scenes.keys() | aggregates.refused.keys()):
-        found, refused = aggregates.scenes[scene], aggregates.refused[scene]
-        share = f"{100 * found.episodes / (found.episodes + refused):.0f} %" if found.episodes + refused else "-"
-        rows.append((scene, *_means(found), str(found.episodes + refused), share))
+        totals, refused = aggregates.scenes[scene], aggregates.refused[scene]
+        share = f"{100 * totals.episodes / (totals.episodes + refused):.0f} %" if totals.episodes + refused else "-"
+        rows.append((scene, *_means(totals), str(totals.episodes + refused), share))
     head = ("scene", "episodes", "steps", "start m", "TL m", "NE m", "attempts", "succeeded")
     return "Means over the archived episodes; attempts that crashed or lost their lease are not counted.\n\n" + _table(
         head, rows

@@ -101,7 +101,9 @@ class RowGroupWriter(Closing):
         )
 
     def _append(self, data: bytes, rows: int, description: bytes) -> RowGroup:
-        group = RowGroup(self._end, len(data), xxhash.xxh3_64_intdigest(data), rows, description)
+        group = RowGroup(
+            self._end, len(data), digest=xxhash.xxh3_64_intdigest(data), rows=rows, description=description
+        )
         self._end += self._file.write(data)
         self._groups.append(group)
         return group
@@ -233,11 +235,11 @@ class GroupedTable:
             RowGroupWriter(file, self._schema) as writer,
         ):
             for number, group in sorted(kept.items()):
-                found = _copied(writer, former, group) or self._added(writer, number, read)
-                if found is not None:
-                    written[number] = found
+                group_rows = _copied(writer, former, group) or self._added(writer, number, read)
+                if group_rows is not None:
+                    written[number] = group_rows
         self._written = written
-        return TableAggregates.total(found.aggregates for found in written.values())
+        return TableAggregates.total(group_rows.aggregates for group_rows in written.values())
 
     def _added(self, writer: RowGroupWriter, number: int, read: Read) -> _Written | None:
         rows = list(read(number * GROUP_ROWS + 1, (number + 1) * GROUP_ROWS))

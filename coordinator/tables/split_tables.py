@@ -65,10 +65,10 @@ class SplitTable(NamedTuple):
 
     def sources(self) -> list[dict[str, Any]]:
         """Returns id, content digest, file name and length of the episode of each row."""
-        found: list[dict[str, Any]] = self.rows.select(
+        sources: list[dict[str, Any]] = self.rows.select(
             ["episode_id", "content_digest", "file_name", "num_steps"]
         ).to_pylist()
-        return found
+        return sources
 
 
 def split_tables_of(root: Place, shard_episodes: int = _SHARD_EPISODES) -> Iterator[SplitTable]:
@@ -94,7 +94,7 @@ def split_tables_of(root: Place, shard_episodes: int = _SHARD_EPISODES) -> Itera
 
 def _ranges(file: pq.ParquetFile, shard_episodes: int) -> Iterator[tuple[int, pa.Table]]:
     last = -1
-    for shard, slices in groupby(_slices(file, shard_episodes), lambda found: found[0]):
+    for shard, slices in groupby(_slices(file, shard_episodes), lambda indices: indices[0]):
         if shard <= last:
             raise ArchiveCorrupt(f"{METADATA_FILE}: episodes are not in ascending order; run `factory repair`")
         last = shard
@@ -121,20 +121,20 @@ def has_pictures(root: Place) -> bool:
 def lacks_pictures(path: Place) -> bool:
     """Returns whether a split table has rows without thumbnails; `False` if it does not exist or is unreadable."""
     try:
-        found = pq.read_metadata(table_of(path))
+        metadata = pq.read_metadata(table_of(path))
     except UNREADABLE:
         return False
-    return bool(int((found.metadata or {}).get(PICTURES_KEY, b"0")) < found.num_rows)
+    return bool(int((metadata.metadata or {}).get(PICTURES_KEY, b"0")) < metadata.num_rows)
 
 
 def read_pictures(path: Place) -> dict[str, bytes]:
     """Returns the thumbnails of a split table by content digest of the episode; empty if the table is unreadable."""
     columns = ["content_digest", THUMBNAIL]
     try:
-        found = pq.read_table(table_of(path), columns=columns, page_checksum_verification=True).to_pylist()
+        pictures = pq.read_table(table_of(path), columns=columns, page_checksum_verification=True).to_pylist()
     except UNREADABLE:
         return {}
-    return {row["content_digest"]: row[THUMBNAIL]["bytes"] for row in found if row[THUMBNAIL] is not None}
+    return {row["content_digest"]: row[THUMBNAIL]["bytes"] for row in pictures if row[THUMBNAIL] is not None}
 
 
 SURPLUS = f"{METADATA_FILE} has no rows for it"
@@ -201,17 +201,17 @@ def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault |
 
 
 def _check_footer(root: Place, table: SplitTable) -> str:
-    said = pq.read_metadata(table_of(root / table.name)).metadata or {}
-    if said.get(DIGEST_KEY, b"").decode() != table.digest:
+    metadata = pq.read_metadata(table_of(root / table.name)).metadata or {}
+    if metadata.get(DIGEST_KEY, b"").decode() != table.digest:
         return _OTHER_ROWS
-    if int(said.get(PICTURES_KEY, b"0")) == table.rows.num_rows:
+    if int(metadata.get(PICTURES_KEY, b"0")) == table.rows.num_rows:
         return ""
     return _missing_thumbnails(root, table, read_pictures(root / table.name))
 
 
 def _check_rows(root: Place, table: SplitTable) -> str:
-    found = pq.read_table(table_of(root / table.name), page_checksum_verification=True)
-    if not found.drop_columns([THUMBNAIL]).replace_schema_metadata().equals(table.rows.replace_schema_metadata()):
+    stored = pq.read_table(table_of(root / table.name), page_checksum_verification=True)
+    if not stored.drop_columns([THUMBNAIL]).replace_schema_metadata().equals(table.rows.replace_schema_metadata()):
         return _OTHER_ROWS
     return _missing_thumbnails(root, table, read_pictures(root / table.name))
 
@@ -307,14 +307,14 @@ def _write(
         None if picture is None else {"bytes": picture, "path": f"{row['episode_id']}.jpg"}
         for row, picture in zip(rows, made, strict=True)
     ]
-    said = {
+    metadata = {
         b"huggingface": _FEATURES,
         DIGEST_KEY: table.digest.encode(),
         PICTURES_KEY: str(sum(picture is not None for picture in pictures)).encode(),
     }
     full = table.rows.append_column(pa.field(THUMBNAIL, _IMAGE), pa.array(pictures, _IMAGE))
     with archive.replacing(table.name) as part:
-        pq.write_table(full.replace_schema_metadata(said), part, compression="zstd", write_page_checksum=True)
+        pq.write_table(full.replace_schema_metadata(metadata), part, compression="zstd", write_page_checksum=True)
 
 
 def _read_thumbnail(bundle: Place, steps: int) -> bytes | None:

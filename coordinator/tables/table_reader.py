@@ -33,10 +33,10 @@ def read_failed_attempts(path: Place) -> list[FailedAttempt]:
         rows = pq.read_table(table_of(path)).to_pylist()
     except (pa.ArrowException, *PARSER_ERRORS):
         return []
-    found = []
+    failed_attempts = []
     for row in rows:
         try:
-            found.append(FailedAttempt.model_validate(row))
+            failed_attempts.append(FailedAttempt.model_validate(row))
         except ValidationError:
             continue
-    return found
+    return failed_attempts

@@ -160,7 +160,15 @@ def write_tables(
         shared: mapping of scene name to the categories with shared instances.
         gate: results of the gate.
     """
-    content = TableContent(plan, scenes, ListedRows(episodes), ListedRows(failures), sides, shared, gate)
+    content = TableContent(
+        plan,
+        scenes,
+        episodes=ListedRows(episodes),
+        failures=ListedRows(failures),
+        sides=sides,
+        shared=shared,
+        gate=gate,
+    )
     return DatasetTables().write(archive, content, now)
 
 

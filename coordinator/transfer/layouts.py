@@ -105,7 +105,12 @@ class LayoutStore:
         self.catalog[layout] = entry
         if self.writer.call(
             lambda connection: outcomes.record_package(
-                connection, bundle.lease, bundle.sha256, entry.sha256, planned, self.clock()
+                connection,
+                bundle.lease,
+                announced=bundle.sha256,
+                package=entry.sha256,
+                planned=planned,
+                now=self.clock(),
             )
         ):
             self._remove_others(layout, entry)
@@ -167,9 +172,9 @@ def unpacked(bundle: Path) -> Iterator[Path]:
 
 def layout_faults(plan: Plan, layout: str, entry: SceneEntry) -> Iterator[str]:
     """Yields the reasons why a package cannot be the layout of a plan, one line each."""
-    found = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
-    if not found and plan.language is not None:
+    findings = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
+    if not findings and plan.language is not None:
         from coordinator.expansion.sentences import find_missing_instructions  # loads the grammars
 
-        found = find_missing_instructions(plan, {layout: entry})
-    yield from found
+        findings = find_missing_instructions(plan, {layout: entry})
+    yield from findings

@@ -65,11 +65,26 @@ class Pullers(Closing):
         self._queue: FairQueue[IncomingBundle] = FairQueue(lambda turn, item: self._fetcher.joins(turn, item))
         refusals = Refusals(ledger, meters)
         self._fetcher = Fetcher(
-            archive, ledger, fetch, settings, meters, find_local_bundle, refusals, self._queue.has_others, self._stop
+            archive,
+            ledger,
+            fetch=fetch,
+            settings=settings,
+            meters=meters,
+            find_local_bundle=find_local_bundle,
+            refusals=refusals,
+            has_others=self._queue.has_others,
+            stop=self._stop,
         )
         validation = SpotCheckedValidation(checker, meters, settings.spot_checks)
         self._deliverer = Deliverer(
-            archive, ledger, validation, refusals, meters, self._note_archived, self._note_failure, layouts
+            archive,
+            ledger,
+            validation=validation,
+            refusals=refusals,
+            meters=meters,
+            on_archived=self._note_archived,
+            on_failure=self._note_failure,
+            layouts=layouts,
         )
         self._threads = [
             threading.Thread(target=self._run, name=f"puller-{number}") for number in range(settings.pullers)

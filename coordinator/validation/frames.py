@@ -94,14 +94,14 @@ class _Survey:
         """Returns faults of depth and ids. Examines all pixels only if the extreme values do not rule out a fault."""
         # the extreme values suffice for nearly every frame; validation must not take longer than simulation
         nearest, farthest = float(depth.min()), float(depth.max())
-        found = DEPTH_FRAME.range_violations(nearest, farthest)
+        findings = DEPTH_FRAME.range_violations(nearest, farthest)
         if not self._known[: int(ids.max()) + 1].all():
-            found += self._strange_ids(ids)
+            findings += self._strange_ids(ids)
         if not (nearest > 0 and ids.min() > 0):
-            found += _disagreement(depth, ids)
+            findings += _disagreement(depth, ids)
         if farthest > self._far_m + DEPTH_SLACK_M:
-            found.append(f"depth {farthest:.3f} m is beyond the camera's range of {self._far_m:g} m")
-        return found
+            findings.append(f"depth {farthest:.3f} m is beyond the camera's range of {self._far_m:g} m")
+        return findings
 
     def _strange_ids(self, ids: NDArray[np.uint16]) -> list[str]:
         shown = _ends_of_runs(ids)

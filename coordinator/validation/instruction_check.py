@@ -18,12 +18,14 @@ from schemas.language.sentence.reading import Reader
 from schemas.terms import Recording
 
 
-def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, float], package: Path) -> list[str]:
+def sentence_findings(
+    job: Job, instruction: Instruction, start: tuple[float, float, float], package: Path
+) -> list[str]:
     """Returns why the sentence of an instruction does not fit the target from the start; empty if it does.
 
     Args:
         job: job of the episode, with parameters of the language.
-        said: instruction of the episode.
+        instruction: instruction of the episode.
         start: x, y in metres and yaw in radians of base_link at frame 0.
         package: package of the scene.
 
@@ -32,32 +34,39 @@ def sentence_findings(job: Job, said: Instruction, start: tuple[float, float, fl
     """
     assert job.language is not None
     scene, composer = scene_language(package), composer_of(job.language)
-    if said.template_id not in composer.patterns_of(said.language, said.held_out):
-        return [f"instruction: pattern {said.template_id!r} does not exist in split {job.split}"]
+    if instruction.template_id not in composer.patterns_of(instruction.language, instruction.held_out):
+        return [f"instruction: pattern {instruction.template_id!r} does not exist in split {job.split}"]
     number = scene.graph.number_of[job.target_id]
     view = look(scene.graph, start, job.camera)
-    reader = composer.reader(said.language)
+    reader = composer.reader(instruction.language)
     if job.is_false_premise:
-        is_absent = scene.verifier.is_false_premise(said.meant, reader, view)
+        is_absent = scene.verifier.is_false_premise(instruction.meant, reader, view)
         fault = "" if is_absent else "an object of the scene fits, or may fit, although the premise should be false"
     else:
-        fault = scene.verifier.check(said.meant, reader, view, number)
-    if said.clean is not None and not fault:
-        fault = _mistake_fault(said, job.language, reader)
-    found = [f"instruction {said.text!r}: {fault}"] if fault else []
-    if said.distractors != scene.distractors(number):
-        found.append(
-            f"the instruction records {said.distractors} distractors, but the scene has {scene.distractors(number)}"
+        fault = scene.verifier.check(instruction.meant, reader, view, number)
+    if instruction.clean is not None and not fault:
+        fault = _mistake_fault(instruction, job.language, reader)
+    findings = [f"instruction {instruction.text!r}: {fault}"] if fault else []
+    if instruction.distractors != scene.distractors(number):
+        findings.append(
+            f"the instruction records {instruction.distractors} distractors, but the scene has "
+            f"{scene.distractors(number)}"
         )
-    return found
+    return findings
 
 
-def _mistake_fault(said: Instruction, spec: LanguageSpec, reader: Reader) -> str:
+def _mistake_fault(instruction: Instruction, spec: LanguageSpec, reader: Reader) -> str:
     """Returns why the recorded kind of error is not planned, or does not explain the sentence; empty if it does."""
-    assert said.clean is not None
-    if said.mistake is None or not spec.mistakes.get(said.mistake):
+    assert instruction.clean is not None
+    if instruction.mistake is None or not spec.mistakes.get(instruction.mistake):
         return "its error is not planned"
-    return mistake_fault(said.text, said.clean, said.mistake, said.language, reader.vocabulary)
+    return mistake_fault(
+        instruction.text,
+        instruction.clean,
+        kind=instruction.mistake,
+        code=instruction.language,
+        vocabulary=reader.vocabulary,
+    )
 
 
 def said_findings(bundle: BundleReader, package: Path | None) -> list[str]:
@@ -75,8 +84,8 @@ def said_findings(bundle: BundleReader, package: Path | None) -> list[str]:
     meta = bundle.meta
     if meta.language is None or meta.job.language is None or package is None:
         return []
-    found = sentence_findings(meta.job, meta.language, meta.rollout.spawn_pose, package)
-    return found + (_question_findings(bundle, meta.job, package) if meta.questions else [])
+    findings = sentence_findings(meta.job, meta.language, meta.rollout.spawn_pose, package)
+    return findings + (_question_findings(bundle, meta.job, package) if meta.questions else [])
 
 
 def _question_findings(bundle: BundleReader, job: Job, package: Path) -> list[str]:

@@ -39,14 +39,14 @@ def job_findings(meta: EpisodeMeta, job: Job) -> list[str]:
 
 def table_findings(meta: EpisodeMeta) -> list[str]:
     """Returns the contradictions within the metadata: episode id, instruction, instance table and frame digests."""
-    found = []
+    findings = []
     if meta.episode_id != meta.job.episode_id:
-        found.append(f"episode_id is {meta.episode_id!r}, but the index of the job gives {meta.job.episode_id!r}")
+        findings.append(f"episode_id is {meta.episode_id!r}, but the index of the job gives {meta.job.episode_id!r}")
     steps = meta.rollout.num_steps
     frames = steps if meta.job.record is Recording.FRAMES else len(meta.job.sampled_steps(steps))
     if len(meta.frame_digests) != frames:
-        found.append(f"{len(meta.frame_digests)} frame digests for {frames} frames")
-    return found + _language_findings(meta) + _instance_findings(meta)
+        findings.append(f"{len(meta.frame_digests)} frame digests for {frames} frames")
+    return findings + _language_findings(meta) + _instance_findings(meta)
 
 
 def target_findings(meta: EpisodeMeta, candidates: Sequence[Target]) -> list[str]:
@@ -66,73 +66,77 @@ def target_findings(meta: EpisodeMeta, candidates: Sequence[Target]) -> list[str
         "target_instance_id": (meta.target_instance_id, target.instance_id),
         "target_footprint_m": (meta.target_footprint_m, target.footprint_m),
     }
-    found = [
+    findings = [
         f"{name} is {ours!r}, but the scene has {theirs!r}" for name, (ours, theirs) in pairs.items() if ours != theirs
     ]
     off = math.dist(meta.target_centroid_m, target.centroid_m)
     if not off <= CENTROID_SLACK_M:
-        found.append(f"target_centroid_m is {off:.6f} m away from the scene's {target.centroid_m}")
-    return found
+        findings.append(f"target_centroid_m is {off:.6f} m away from the scene's {target.centroid_m}")
+    return findings
 
 
 def _language_findings(meta: EpisodeMeta) -> list[str]:
-    job, said = meta.job, meta.language
+    job, sentence = meta.job, meta.language
     if meta.questions and (job.language is None or not job.language.questions):
         return ["the episode has questions, but its job plans none"]
     if job.template_id == FROM_START:
-        return ["the episode has no verified instruction"] if said is None else _wording_findings(job, said)
-    if said is not None:
+        return ["the episode has no verified instruction"] if sentence is None else _wording_findings(job, sentence)
+    if sentence is not None:
         return ["the episode has a verified instruction, but its job has a template"]
     if job.template_id not in TEMPLATES:
         return [f"template_id {job.template_id!r} does not exist"]
     if job.colour == "unknown" and needs_colour(job.template_id):
         return [f"template {job.template_id} names a colour, but the colour is unknown"]
-    found = []
+    findings = []
     if job.template_id not in templates_for(job.split, job.colour):
-        found.append(f"template {job.template_id} does not belong to split {job.split}")
+        findings.append(f"template {job.template_id} does not belong to split {job.split}")
     wanted = instruction(job.template_id, job.category, job.colour)
     if job.instruction != wanted:
-        found.append(f"instruction is {job.instruction!r}, but template {job.template_id} gives {wanted!r}")
-    return found
+        findings.append(f"instruction is {job.instruction!r}, but template {job.template_id} gives {wanted!r}")
+    return findings
 
 
-def _wording_findings(job: Job, said: Instruction) -> list[str]:
+def _wording_findings(job: Job, sentence: Instruction) -> list[str]:
     """Returns the differences between an instruction and the parameters of its job; reads no scene."""
-    found = []
+    findings = []
     if job.language is None:
         return ["the job has no parameters of a verified instruction"]
-    if not job.language.languages.get(said.language):
-        found.append(f"language {said.language!r} is not planned")
-    if not job.language.registers.get(said.register_name):
-        found.append(f"register {said.register_name!r} is not planned")
-    if said.held_out != (job.split.is_paraphrased):
-        found.append(f"pattern {said.template_id} does not belong to split {job.split}")
+    if not job.language.languages.get(sentence.language):
+        findings.append(f"language {sentence.language!r} is not planned")
+    if not job.language.registers.get(sentence.register_name):
+        findings.append(f"register {sentence.register_name!r} is not planned")
+    if sentence.held_out != (job.split.is_paraphrased):
+        findings.append(f"pattern {sentence.template_id} does not belong to split {job.split}")
     families = {str(family) for family in job.language.families}
-    surplus = sorted(set(filter(None, said.features.split(","))) - families)
+    surplus = sorted(set(filter(None, sentence.features.split(","))) - families)
     if surplus:
-        found.append(f"features {', '.join(surplus)} are not planned")
-    if (said.kind is InstructionKind.FALSE_PREMISE) != job.is_false_premise:
-        found.append(f"an instruction of kind {said.kind} is not allowed in split {job.split}")
-    return found
+        findings.append(f"features {', '.join(surplus)} are not planned")
+    if (sentence.kind is InstructionKind.FALSE_PREMISE) != job.is_false_premise:
+        findings.append(f"an instruction of kind {sentence.kind} is not allowed in split {job.split}")
+    return findings
 
 
 def _instance_findings(meta: EpisodeMeta) -> list[str]:
     if meta.job.record is Recording.STATES:
         return ["a states recording has an instance table; the scene lists the instances"] if meta.instances else []
-    found = [
+    findings = [
         f"instance id {number} is listed {times} times in the table"
         for number, times in Counter(instance.id for instance in meta.instances).items()
         if times > 1
     ]
     of_target = [instance for instance in meta.instances if instance.id == meta.target_instance_id]
     if not of_target:
-        return [*found, f"target_instance_id {meta.target_instance_id} is not in the instance table"]
+        return [*findings, f"target_instance_id {meta.target_instance_id} is not in the instance table"]
     target = of_target[0]
     if target.category != meta.job.category:
-        found.append(f"the target is a {target.category} in the instance table, the job asks for a {meta.job.category}")
+        findings.append(
+            f"the target is a {target.category} in the instance table, the job asks for a {meta.job.category}"
+        )
     if target.prim_path != meta.target_prim_path:
-        found.append(f"target_prim_path is {meta.target_prim_path!r}, but the instance table has {target.prim_path!r}")
-    return found
+        findings.append(
+            f"target_prim_path is {meta.target_prim_path!r}, but the instance table has {target.prim_path!r}"
+        )
+    return findings
 
 
 def _show(value: object) -> str:

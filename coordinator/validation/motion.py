@@ -107,7 +107,7 @@ def _drive_of(arrays: EpisodeArrays, control_hz: int, touched: bool) -> _Drive:
     along = dx * np.cos(heading) + dy * np.sin(heading)
     aside = dy * np.cos(heading) - dx * np.sin(heading)
     bend = _recent_maximum(v * np.abs(w), SKID_STEPS)[:-1]
-    return _Drive(v, w, along, aside, turned, bend, control_hz, touched)
+    return _Drive(v, w, along=along, aside=aside, turned=turned, bend=bend, hz=control_hz, touched=touched)
 
 
 def _command_findings(drive: _Drive, robot: RobotConfig) -> list[str]:
@@ -125,12 +125,12 @@ def _command_findings(drive: _Drive, robot: RobotConfig) -> list[str]:
 def _stance_findings(poses: F64) -> list[str]:
     quaternions = poses[:, 3:]
     norm_error = np.abs(np.linalg.norm(quaternions, axis=1) - 1)
-    found = _beyond("deviation of the quaternion's norm from 1", "", norm_error, QUATERNION_SLACK, 0.0)
+    findings = _beyond("deviation of the quaternion's norm from 1", "", norm_error, QUATERNION_SLACK, 0.0)
     up_z = np.clip(1 - 2 * (quaternions[:, 1] ** 2 + quaternions[:, 2] ** 2), -1, 1)
-    if not found:  # the tilt of an invalid quaternion is meaningless
-        found = _beyond("tilt", "rad", np.arccos(up_z), MAX_TILT_RAD, 0.0)
+    if not findings:  # the tilt of an invalid quaternion is meaningless
+        findings = _beyond("tilt", "rad", np.arccos(up_z), MAX_TILT_RAD, 0.0)
     heights = poses[:, 2]
-    return found + _beyond("height above the first frame", "m", np.abs(heights - heights[0]), HEIGHT_SLACK_M, 0.0)
+    return findings + _beyond("height above the first frame", "m", np.abs(heights - heights[0]), HEIGHT_SLACK_M, 0.0)
 
 
 def _step_findings(drive: _Drive) -> list[str]:

@@ -92,10 +92,10 @@ def visibility_findings(meta: EpisodeMeta, target_pixels: Mapping[int, int]) -> 
         target_pixels: number of pixels of the target by step, in all frames or in some.
     """
     seen = sum(pixels >= meta.job.gains.min_mask_px for pixels in target_pixels.values())
-    said, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
-    if said is None or seen <= said <= most:
+    recorded, most = meta.rollout.steps_visible, meta.rollout.num_steps - len(target_pixels) + seen
+    if recorded is None or seen <= recorded <= most:
         return []
-    return [f"steps_visible {said}, but {seen} of {len(target_pixels)} examined frames show the target"]
+    return [f"steps_visible {recorded}, but {seen} of {len(target_pixels)} examined frames show the target"]
 
 
 def arrival_findings(meta: EpisodeMeta, pixels: int) -> list[str]:
@@ -107,44 +107,44 @@ def arrival_findings(meta: EpisodeMeta, pixels: int) -> list[str]:
     """
     least = meta.job.gains.min_mask_px
     at_end = pixels >= least
-    found = []
+    findings = []
     if meta.rollout.target_in_view not in (at_end, None):
         shown = f"the last frame shows {pixels} pixels of the target; a target in view has at least {least} pixels"
-        found.append(f"target_in_view {meta.rollout.target_in_view}, but {shown}")
+        findings.append(f"target_in_view {meta.rollout.target_in_view}, but {shown}")
     if meta.job.demonstration.target_in_view and not at_end:
-        found.append(f"the last frame shows {pixels} pixels of the target, the plan requires {least}")
-    return found
+        findings.append(f"the last frame shows {pixels} pixels of the target, the plan requires {least}")
+    return findings
 
 
 def _statistics_findings(meta: EpisodeMeta, track: TrackMeasure, frames: int) -> list[str]:
     rollout = meta.rollout
     names = ("spawn_dist_m", "trajectory_length_m", "final_ne_m", "final_ne_3d_m", "min_ne_m")
-    found = [
+    findings = [
         f"{name} is {getattr(rollout, name):.6f}, but the poses give {getattr(track, name):.6f} m"
         for name in names
         if not abs(getattr(rollout, name) - getattr(track, name)) <= DISTANCE_SLACK_M
     ]
     counts = {"collision_count": rollout.collision_count, "steps_visible": rollout.steps_visible}
-    found += [
+    findings += [
         f"{name} is {count}, but the episode has {frames} steps"
         for name, count in counts.items()
         if (count or 0) > frames
     ]
     if frames > meta.job.task.max_steps:
-        found.append(f"num_steps {frames} is more than the job's max_steps {meta.job.task.max_steps}")
-    return found
+        findings.append(f"num_steps {frames} is more than the job's max_steps {meta.job.task.max_steps}")
+    return findings
 
 
 def _surface_findings(meta: EpisodeMeta, track: TrackMeasure) -> list[str]:
     """Compares the recorded distances to the footprint with the poses; older versions record no such distances."""
-    found = []
+    findings = []
     for name in ("spawn_surface_m", "final_surface_m"):
-        said, measured = getattr(meta.rollout, name), getattr(track, name)
-        if said is None and measured is None:
+        recorded, measured = getattr(meta.rollout, name), getattr(track, name)
+        if recorded is None and measured is None:
             continue
-        if said is None or measured is None or not abs(said - measured) <= DISTANCE_SLACK_M:
-            found.append(f"{name} is {said}, but the poses and the footprint give {measured}")
-    return found
+        if recorded is None or measured is None or not abs(recorded - measured) <= DISTANCE_SLACK_M:
+            findings.append(f"{name} is {recorded}, but the poses and the footprint give {measured}")
+    return findings
 
 
 def _contact_findings(meta: EpisodeMeta) -> list[str]:
@@ -168,19 +168,19 @@ def _goal_findings(meta: EpisodeMeta, track: TrackMeasure, poses: NDArray[np.flo
 def _spawn_findings(meta: EpisodeMeta, track: TrackMeasure, goal: Goal) -> list[str]:
     off = math.dist(meta.rollout.spawn_pose[:2], track.spawn_pose[:2])
     turned = abs(math.remainder(meta.rollout.spawn_pose[2] - track.spawn_pose[2], 2 * math.pi))
-    found = []
+    findings = []
     if not (off <= POSE_SLACK and turned <= POSE_SLACK):
-        found.append(f"spawn_pose is {off:.6f} m and {turned:.6f} rad away from pose 0")
+        findings.append(f"spawn_pose is {off:.6f} m and {turned:.6f} rad away from pose 0")
     if meta.rollout.spawn_draws > meta.job.spawn.physics_draws:
-        found.append(
+        findings.append(
             f"spawn_draws is {meta.rollout.spawn_draws}, but the job allows at most {meta.job.spawn.physics_draws}"
         )
     low, high = TIER_RANGE_M.get(meta.job.tier, (0.0, math.inf))
     slack = meta.job.spawn.max_displacement_m  # the warm-up may move the robot this far from the sampled pose
     distance = goal.distance(*track.spawn_pose[:2])
     if not low - slack <= distance <= high + slack:
-        found.append(f"spawn distance {distance:.3f} m is outside tier {meta.job.tier} ({low:g}-{high:g} m)")
-    return found
+        findings.append(f"spawn distance {distance:.3f} m is outside tier {meta.job.tier} ({low:g}-{high:g} m)")
+    return findings
 
 
 def _success_findings(meta: EpisodeMeta, distances: NDArray[np.float64], poses: NDArray[np.float64]) -> list[str]:
@@ -190,21 +190,21 @@ def _success_findings(meta: EpisodeMeta, distances: NDArray[np.float64], poses: 
         return [f"end_reason is {meta.rollout.end_reason}; only successes are archived"]
     if len(poses) <= steps:
         return [f"{len(poses)} frames are too few for a success, which needs {steps} stationary steps"]
-    found = []
+    findings = []
     last = poses[-steps - 1 :, :2]  # one more pose, because a speed is computed from two poses
     farthest = float(distances[-steps:].max())
     if not farthest <= task.success_radius_m + RADIUS_SLACK_M:
-        found.append(
+        findings.append(
             f"no success: {farthest:.4f} m from the target during the last {steps} steps; the success radius is "
             f"{task.success_radius_m:g} m"
         )
     speed = float(np.linalg.norm(np.diff(last, axis=0), axis=1).max()) * task.control_hz
     if not speed < task.stationary_speed_mps + SPEED_SLACK_MPS:
-        found.append(
+        findings.append(
             f"no success: {speed:.4f} m/s during the last {steps} steps; a stationary robot is slower "
             f"than {task.stationary_speed_mps:g} m/s"
         )
-    return found
+    return findings
 
 
 def _token_findings(arrays: EpisodeArrays) -> list[str]:

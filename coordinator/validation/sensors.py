@@ -24,17 +24,19 @@ def rig_findings(bundle: BundleReader) -> list[str]:
     """Returns contradictions between the job's rig, the format, the digests and the presence of measurements."""
     meta, rig = bundle.meta, bundle.meta.job.view.rig
     wanted = [] if rig is None else [sensor.name for sensor in rig.sensors]
-    found = []
+    findings = []
     if bundle.has_sensors != (rig is not None):
         of_job = "no rig" if rig is None else f"the rig {rig.name!r}"
-        found.append(f"the bundle {'has' if bundle.has_sensors else 'lacks'} measurements, but its job has {of_job}")
+        findings.append(f"the bundle {'has' if bundle.has_sensors else 'lacks'} measurements, but its job has {of_job}")
     if (meta.format > FORMAT_WITHOUT_RIG) != (format_of(meta.job) > FORMAT_WITHOUT_RIG):
-        found.append(f"the bundle has format {meta.format}, but bundles of its job have format {format_of(meta.job)}")
+        findings.append(
+            f"the bundle has format {meta.format}, but bundles of its job have format {format_of(meta.job)}"
+        )
     if list(meta.sensor_digests) != wanted:
-        found.append(
+        findings.append(
             f"the bundle has digests of the sensors {list(meta.sensor_digests)}, but its rig has the sensors {wanted}"
         )
-    return found
+    return findings
 
 
 def survey_measurements(bundle: BundleReader, stride: int = 1) -> list[str]:

@@ -43,14 +43,16 @@ def start_findings(
     if view is None:
         return []
     if view.choice is not None:
-        found = _choice_findings(meta, view.choice, ids, candidates)
-        return [f"start: {finding}" for finding in found]
+        findings = _choice_findings(meta, view.choice, ids, candidates)
+        return [f"start: {finding}" for finding in findings]
     x, y = arrays.poses[0, :2].astype(np.float64).tolist()
     towards = math.atan2(meta.target_centroid_m[1] - y, meta.target_centroid_m[0] - x)
     off = abs(math.remainder(towards - float(yaw_of(arrays.poses[:1])[0]), 2 * math.pi))
     least_off = max(0.0, off - BEARING_SLACK_RAD)
-    found = start_view_findings(view, target, least_off, ids, depth, job.camera, job.gains.min_mask_px)
-    return [f"start: {finding}" for finding in found]
+    findings = start_view_findings(
+        view, target, bearing_rad=least_off, ids=ids, depth=depth, camera=job.camera, min_pixels=job.gains.min_mask_px
+    )
+    return [f"start: {finding}" for finding in findings]
 
 
 def choice_findings(meta: EpisodeMeta) -> list[str]:
@@ -58,19 +60,19 @@ def choice_findings(meta: EpisodeMeta) -> list[str]:
     view, choices = meta.job.start_view, meta.choices
     if view is None or view.choice is None:
         return ["choices are recorded, but the plan of the job names the target"] if choices else []
-    found = []
+    findings = []
     if len(choices) <= view.least_same_category:
-        found.append(
+        findings.append(
             f"{len(choices)} objects could be the target, the plan requires at least {view.least_same_category + 1}"
         )
     stray = sorted(set(choices).difference(view.choice.among))
     if stray or list(choices) != sorted(set(choices)):
-        found.append(
+        findings.append(
             f"choices {list(choices)}: the job permits distinct ids of {list(view.choice.among)} in ascending order"
         )
     if choices and meta.target_instance_id != view.choice.of(choices):
-        found.append(f"the target is object {meta.target_instance_id}, the job selects {view.choice.of(choices)}")
-    return found
+        findings.append(f"the target is object {meta.target_instance_id}, the job selects {view.choice.of(choices)}")
+    return findings
 
 
 def _choice_findings(

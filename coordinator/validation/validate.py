@@ -69,7 +69,7 @@ def validate(
             return findings  # a frame cannot be decoded, but the remaining checks need all selected frames
         findings += visibility_findings(meta, survey.target_pixels)
         findings += arrival_findings(meta, survey.target_pixels[bundle.length - 1])
-        findings += start_findings(meta, arrays, bundle.ids(0), bundle.depth(0), candidates)
+        findings += start_findings(meta, arrays, ids=bundle.ids(0), depth=bundle.depth(0), candidates=candidates)
     return findings + _digest_findings(bundle)
 
 
@@ -83,21 +83,23 @@ def sampled_frames(meta: EpisodeMeta) -> list[int]:
 
 
 def _digest_findings(bundle: BundleReader) -> list[str]:
-    digest, said = bundle.content_digest(bundle.meta.frame_digests), bundle.meta.content_digest
-    return [] if digest == said else [f"content digest {digest}, meta.json says {said}"]
+    digest, recorded = bundle.content_digest(bundle.meta.frame_digests), bundle.meta.content_digest
+    return [] if digest == recorded else [f"content digest {digest}, meta.json says {recorded}"]
 
 
 def _format_findings(bundle: BundleReader) -> list[str]:
     meta, record = bundle.meta, bundle.meta.job.record
     wanted = POSES.former_dtype if meta.format < 2 else POSES.dtype
-    found = []
+    findings = []
     if bundle.pose_dtype != wanted:
-        found.append(f"poses.npy has {bundle.pose_dtype}; bundles of format {meta.format} have {np.dtype(wanted)}")
+        findings.append(f"poses.npy has {bundle.pose_dtype}; bundles of format {meta.format} have {np.dtype(wanted)}")
     if bundle.has_frames != (record is Recording.FRAMES):
-        found.append(f"the bundle {'has' if bundle.has_frames else 'lacks'} frames, but its job records {record}")
+        findings.append(f"the bundle {'has' if bundle.has_frames else 'lacks'} frames, but its job records {record}")
     is_counted = record is Recording.FRAMES or meta.job.expert.uses_images
     if (meta.rollout.steps_visible is not None) != is_counted:
         seen, expert = meta.rollout.steps_visible, meta.job.expert
         wanted_count = "a number" if is_counted else "null"
-        found.append(f"steps_visible is {seen}, not {wanted_count}, in a recording of {record} by the {expert} expert")
-    return found
+        findings.append(
+            f"steps_visible is {seen}, not {wanted_count}, in a recording of {record} by the {expert} expert"
+        )
+    return findings

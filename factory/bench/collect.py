@@ -60,7 +60,7 @@ def bench_collect(
     for _ in range(repeats):
         for name, plan in variants.items():
             with tempfile.TemporaryDirectory(dir=folder) as root:
-                runs[name].append(_time(LocalRun(plan, catalog, Path(root), workers, renderer)))
+                runs[name].append(_time(LocalRun(plan, catalog, root=Path(root), workers=workers, renderer=renderer)))
             tell()
     return {name: _pace(variants[name], runs[name]) for name in variants}
 
@@ -68,10 +68,10 @@ def bench_collect(
 def _time(run: LocalRun) -> _Run:
     wall, cpu = time.perf_counter(), _cpu_s()
     progress = run_locally(run, CoordinatorSettings(), threading.Event(), lambda _: None)
-    found = _Run(time.perf_counter() - wall, _cpu_s() - cpu, progress)
+    timed = _Run(time.perf_counter() - wall, _cpu_s() - cpu, progress)
     if progress.missing:
         raise WorldError(f"{progress.missing} of {progress.planned} episodes are missing: run fewer --episodes")
-    return found
+    return timed
 
 
 def _cpu_s() -> float:

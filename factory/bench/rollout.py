@@ -37,7 +37,7 @@ from workers.physics.mesh_lists import mesh_lists
 from workers.physics.world import ColliderMesh, World
 from workers.render.tiny import TinyScene
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 
 def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
@@ -53,11 +53,11 @@ def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: 
     recorder = StageRecorder()
     collider = _one_body_a_part(scene)
     with World(scene, collider, job.robot, job.task.control_hz) as world, closing(TinyScene(scene)) as shown:
-        _make_frame(world, shown, job, chosen[0], recorder)
+        _make_frame(world, shown, job=job, pose=chosen[0], recorder=recorder)
         recorder.start()
         wall, cpu = time.perf_counter(), time.process_time()
         for pose in chosen:
-            _make_frame(world, shown, job, pose, recorder)
+            _make_frame(world, shown, job=job, pose=pose, recorder=recorder)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     stages = {stage: 1000 * seconds / frames for stage, (seconds, _) in recorder.take().items()}
     return PlainPace(frames=frames, frames_per_s=frames / wall, frames_per_cpu_s=frames / cpu, stages=stages)
@@ -114,7 +114,7 @@ class _Run:
 def bench_rollout(
     jobs: Sequence[Job],
     entry: SceneEntry,
-    stage: SceneRenderer,
+    context: SimulationContext,
     recorder: StageRecorder,
     repeats: int,
     plain_frames: int,
@@ -125,7 +125,7 @@ def bench_rollout(
     Args:
         jobs: Jobs of one scene.
         entry: Scene of the jobs.
-        stage: Scene renderer opened with `recorder` as its stage timer.
+        context: Simulation context opened with `recorder` as its stage timer.
         recorder: Recorder of the stage times.
         repeats: Number of timed repetitions of all jobs.
         plain_frames: Number of frames of the plain PyBullet pipeline, at poses spread over all episodes; 0 skips it.
@@ -135,23 +135,23 @@ def bench_rollout(
         WorldError: No job succeeded.
     """
     reset_peak()
-    stage.load(entry.path, entry.sha256)
+    context.load(entry.path, entry.sha256)
     with tempfile.TemporaryFile() as file:
-        sizes = _warm_up(jobs, stage, file)
+        sizes = _warm_up(jobs, context, file)
         delivery = time_delivery(file, repeats)
         tell()
         start_mib = resident_mib()
-        rounds = [[_timed(job, stage, recorder, file, tell) for job in jobs] for _ in range(repeats)]
+        rounds = [[_timed(job, context, recorder, file, tell) for job in jobs] for _ in range(repeats)]
         memory = measure_memory(start_mib)
-    return _summarise(rounds, delivery, sizes, memory, jobs, entry, stage, plain_frames)
+    return _summarise(rounds, delivery, sizes, memory, jobs, entry, context, plain_frames)
 
 
-def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[str, float]:
+def _warm_up(jobs: Sequence[Job], context: SimulationContext, file: BinaryIO) -> dict[str, float]:
     """Runs jobs until one succeeds; returns the size of its bundle by kind of member, kB per frame."""
     details = []
     for job in jobs:
         _rewind(file)
-        outcome = run_attempt(job, stage, file, "bench", _ignore)
+        outcome = run_attempt(job, context, out=file, sid="bench", on_step=_ignore)
         if isinstance(outcome, Success):
             bundle = BundleReader(file)
             return {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
@@ -159,11 +159,11 @@ def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[
     raise WorldError(f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so nothing can be measured: {details[0]}")
 
 
-def _timed(job: Job, stage: SceneRenderer, recorder: StageRecorder, file: BinaryIO, tell: StepCallback) -> _Run:
+def _timed(job: Job, context: SimulationContext, recorder: StageRecorder, file: BinaryIO, tell: StepCallback) -> _Run:
     _rewind(file)
     wall, cpu = time.perf_counter(), time.process_time()
     recorder.start()
-    outcome = run_attempt(job, stage, file, "bench", _ignore)
+    outcome = run_attempt(job, context, out=file, sid="bench", on_step=_ignore)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     tell()
     stages = recorder.take()
@@ -188,7 +188,7 @@ def _summarise(
     memory: Memory,
     jobs: Sequence[Job],
     entry: SceneEntry,
-    stage: SceneRenderer,
+    context: SimulationContext,
     plain_frames: int,
 ) -> SceneRollout:
     won = [[run for run in runs if run.frames] for runs in rounds]
@@ -198,7 +198,7 @@ def _summarise(
     spent = sum(run.wall_s for runs in rounds for run in runs)
     rows = np.concatenate([run.poses for run in won[0]]).astype(np.float64)
     poses = [Pose(*row) for row in rows.tolist()]
-    plain = run_baseline(stage.loaded(entry.sha256).scene, jobs[0], poses, plain_frames) if plain_frames else None
+    plain = run_baseline(context.loaded(entry.sha256).compiled, jobs[0], poses, plain_frames) if plain_frames else None
     return SceneRollout(
         frames_per_s_per_core=wall.median,
         frames_per_cpu_s=cpu.median,

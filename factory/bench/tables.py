@@ -47,29 +47,29 @@ def show_rollout(report: RolloutBench) -> None:
         (
             *(
                 name,
-                round_digits(found.wall.median),
-                range_text(found.wall),
-                round_digits(found.cpu.median),
-                range_text(found.cpu),
+                round_digits(rates.wall.median),
+                range_text(rates.wall),
+                round_digits(rates.cpu.median),
+                range_text(rates.cpu),
             ),
-            *(range_text(found.by_job), found.episodes, found.frames, found.failed_attempts),
-            *(None if found.plain is None else round(found.plain.frames_per_s, 2), found.ratio),
+            *(range_text(rates.by_job), rates.episodes, rates.frames, rates.failed_attempts),
+            *(None if rates.plain is None else round(rates.plain.frames_per_s, 2), rates.ratio),
         )
-        for name, found in report.scenes.items()
+        for name, rates in report.scenes.items()
     ]
     work = f"{report.repeats} runs of the same jobs of plan {report.plan}, screening {report.screening}"
     print_table(f"Collection on one core, {work}", columns, rows)
-    _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
-    _print_stages("in the coordinator", {name: found.delivery for name, found in report.scenes.items()})
-    kinds = list(dict.fromkeys(kind for found in report.scenes.values() for kind in found.kb_per_frame))
+    _print_stages("by stage", {name: rates.stages for name, rates in report.scenes.items()})
+    _print_stages("in the coordinator", {name: rates.delivery for name, rates in report.scenes.items()})
+    kinds = list(dict.fromkeys(kind for rates in report.scenes.values() for kind in rates.kb_per_frame))
     sizes = [
-        (name, *(found.kb_per_frame.get(kind, 0.0) for kind in kinds), sum(found.kb_per_frame.values()))
-        for name, found in report.scenes.items()
+        (name, *(rates.kb_per_frame.get(kind, 0.0) for kind in kinds), sum(rates.kb_per_frame.values()))
+        for name, rates in report.scenes.items()
     ]
     print_table("\nkB per frame, by bundle member", ("scene", *kinds, "all"), sizes)
     memory = [
-        (name, found.memory.start_mib, found.memory.end_mib, found.memory.peak_mib)
-        for name, found in report.scenes.items()
+        (name, rates.memory.start_mib, rates.memory.end_mib, rates.memory.peak_mib)
+        for name, rates in report.scenes.items()
     ]
     print_table("\nResident memory, MiB", ("scene", "after 1 episode", "at the end", "peak"), memory)
 
@@ -95,19 +95,19 @@ def show_render(report: RenderBench) -> None:
     print_machine(report.machine, report.renderer)
     rows = [
         (
-            *(name, round_digits(found.frames_per_s.median), range_text(found.frames_per_s)),
-            *(found.frames, found.triangles, round(found.triangles_in_view)),
+            *(name, round_digits(rates.frames_per_s.median), range_text(rates.frames_per_s)),
+            *(rates.frames, rates.triangles, round(rates.triangles_in_view)),
         )
-        for name, found in report.scenes.items()
+        for name, rates in report.scenes.items()
     ]
     print_table(
         f"Rendering only, {_describe_size(report.size, report.antialias)}, {report.repeats} runs",
         ("scene", "frames/s", "range", "frames", "triangles", "in view"),
         rows,
     )
-    _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
-    if all(found.without_colour for found in report.scenes.values()):
-        _print_stages("without colour", {name: found.without_colour for name, found in report.scenes.items()})
+    _print_stages("by stage", {name: rates.stages for name, rates in report.scenes.items()})
+    if all(rates.without_colour for rates in report.scenes.values()):
+        _print_stages("without colour", {name: rates.without_colour for name, rates in report.scenes.items()})
 
 
 def show_read(report: ReadBench) -> None:
@@ -120,11 +120,11 @@ def show_read(report: ReadBench) -> None:
             range_text(report.random_frames_per_s),
         ),
         *(
-            ("random frames, all three images, frames/CPU s", found.median, range_text(found))
-            for found in (report.random_frames_per_cpu_s,)
-            if found is not None
+            ("random frames, all three images, frames/CPU s", rate.median, range_text(rate))
+            for rate in (report.random_frames_per_cpu_s,)
+            if rate is not None
         ),
-        *((f"only {name}, frames/s", found.median, range_text(found)) for name, found in report.by_image.items()),
+        *((f"only {name}, frames/s", rate.median, range_text(rate)) for name, rate in report.by_image.items()),
         ("opening an episode, ms", report.open_ms.median, range_text(report.open_ms)),
     ]
     loaders = {
@@ -133,9 +133,9 @@ def show_read(report: ReadBench) -> None:
         f"{report.loader_workers} workers": report.loader_frames_per_s,
     }
     rows += [
-        (f"shuffled DataLoader, {name}, frames/s", found.median, range_text(found))
-        for name, found in loaders.items()
-        if found is not None
+        (f"shuffled DataLoader, {name}, frames/s", rate.median, range_text(rate))
+        for name, rate in loaders.items()
+        if rate is not None
     ]
     pictures = _describe_size(report.size, report.antialias)
     title = f"{report.frames} random frames, {pictures}, of {report.episodes} episodes, {report.repeats} runs"
@@ -159,8 +159,8 @@ def print_machine(machine: Machine, renderer: str | None = None) -> None:
 def _print_stages(where: str, scenes: dict[str, tuple[StageCost, ...]]) -> None:
     names = list(dict.fromkeys(cost.stage for costs in scenes.values() for cost in costs))
     by_scene = [{cost.stage: cost.cpu_ms.median for cost in costs} for costs in scenes.values()]
-    rows = [(name, *(found.get(name, 0.0) for found in by_scene)) for name in names]
-    rows.append(("all", *(sum(found.values()) for found in by_scene)))
+    rows = [(name, *(stages.get(name, 0.0) for stages in by_scene)) for name in names]
+    rows.append(("all", *(sum(stages.values()) for stages in by_scene)))
     print_table(f"\nCPU time per frame, ms, {where}", ("stage", *scenes), rows)
 
 

@@ -27,7 +27,7 @@ from schemas.job import Job
 from schemas.plan import Plan
 
 if TYPE_CHECKING:
-    from workers.sim.context import SceneRenderer
+    from workers.sim.context import SimulationContext
 
 SAMPLE_PLAN = "demo"
 """Plan of the benchmarks that need a few episodes of each scene."""
@@ -48,8 +48,8 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
     """
     names = list(scenes) or [scene.name for scene in plan.scenes]
     parts = tuple(shrink(plan, scenes=(name,), episodes=1).scenes[0] for name in dict.fromkeys(names))
-    found = {scene.name: scene.episodes for scene in plan.scenes}
-    short = [f"{found[part.name]} of {part.name}" for part in parts if found[part.name] < episodes]
+    numbers = {scene.name: scene.episodes for scene in plan.scenes}
+    short = [f"{numbers[part.name]} of {part.name}" for part in parts if numbers[part.name] < episodes]
     if short:
         raise UsageError(
             f"--episodes {episodes}: plan {plan.name!r} has fewer episodes ({', '.join(short)}); choose another PLAN"
@@ -73,7 +73,7 @@ class BenchSample:
 
 
 def make_sample(
-    root: Path, plan: Plan, catalog: Catalog, stage: SceneRenderer, tell: Callable[[], None]
+    root: Path, plan: Plan, catalog: Catalog, stage: SimulationContext, tell: Callable[[], None]
 ) -> tuple[BenchSample, ...]:
     """Runs one attempt at every episode of a plan and writes the successful ones as a dataset.
 
@@ -103,15 +103,15 @@ def make_sample(
         if not rows:
             raise WorldError(f"none of {plan.episodes} attempts succeeded, so nothing can be measured")
         scenes = {name: entry.sha256 for name, entry in catalog.items()}
-        write_tables(archive, plan, scenes, rows, [], datetime.now(UTC))
+        write_tables(archive, plan, scenes=scenes, episodes=rows, failures=[], now=datetime.now(UTC))
     return tuple(samples)
 
 
-def _try(archive: Archive, job: Job, stage: SceneRenderer) -> EpisodeSummary | None:
+def _try(archive: Archive, job: Job, stage: SimulationContext) -> EpisodeSummary | None:
     from workers.sim.attempt import AttemptFailure, run_attempt
 
     out = BytesIO()
-    outcome = run_attempt(job, stage, out, "bench", lambda _step: None)
+    outcome = run_attempt(job, stage, out=out, sid="bench", on_step=lambda _step: None)
     if isinstance(outcome, AttemptFailure):
         return None
     data = out.getvalue()

@@ -107,7 +107,7 @@ def rollout(
     from factory.runs.catalog import open_catalog
     from factory.support.settings import scene_cache
     from factory.support.terminal import print_result
-    from workers.sim.context import SceneRenderer
+    from workers.sim.context import SimulationContext
 
     plan = shrink(narrow(load_plan(plan_name), scenes or (), episodes), record=Recording(record) if record else None)
     machine, recorder = describe_machine(), StageRecorder()
@@ -115,10 +115,12 @@ def rollout(
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(renderer, recorder) as stage:
+            with SimulationContext(renderer, recorder) as stage:
                 jobs = first_attempts(plan, catalog, name)
                 plain_frames = frames if against else 0
-                results[name] = bench_rollout(jobs, entry, stage, recorder, repeats, plain_frames, tell)
+                results[name] = bench_rollout(
+                    jobs, entry, context=stage, recorder=recorder, repeats=repeats, plain_frames=plain_frames, tell=tell
+                )
                 described = stage.renderer.description
     report = RolloutBench(
         machine=machine,
@@ -188,7 +190,9 @@ def collect(
     machine, processes = describe_machine(), workers or os.cpu_count() or 1
     with progress_bar("collect", len(variants) * repeats) as tell, temporary_folder() as folder:
         catalog = open_catalog(base, folder, scene_cache())
-        paces = bench_collect(variants, catalog, folder, processes, repeats, renderer, tell)
+        paces = bench_collect(
+            variants, catalog, folder=folder, workers=processes, repeats=repeats, renderer=renderer, tell=tell
+        )
     report = CollectBench(
         machine=machine,
         plan=base.name,
@@ -242,7 +246,16 @@ def render(
         for name, entry in catalog.items():
             with open_renderer(renderer, timer=recorder) as opened:
                 scene = read_scene(entry.path)
-                results[name] = bench_render(scene, opened, recorder, CameraConfig(), frames, repeats, size, antialias)
+                results[name] = bench_render(
+                    scene,
+                    opened,
+                    recorder=recorder,
+                    camera=CameraConfig(),
+                    frames=frames,
+                    repeats=repeats,
+                    size=size,
+                    antialias=antialias,
+                )
                 described = opened.description
             tell()
     report = RenderBench(
@@ -286,7 +299,7 @@ def read(
             root = made = folder / "sample"
             _simulate_sample(made, narrow(load_plan(SAMPLE_PLAN), scenes or (), 1), folder)
         chosen = Dataset(root).filter(**({"scene": scenes} if scenes else {}))
-        report = bench_read(chosen, frames, repeats, workers, size, antialias)
+        report = bench_read(chosen, frames, repeats=repeats, workers=workers, size=size, antialias=antialias)
     print_result(report, as_json, show_read)
 
 
@@ -295,7 +308,7 @@ def _simulate_sample(root: Path, plan: Plan, folder: Path) -> None:
     from factory.bench.workload import make_sample
     from factory.runs.catalog import open_catalog
     from factory.support.settings import scene_cache
-    from workers.sim.context import SceneRenderer
+    from workers.sim.context import SimulationContext
 
-    with progress_bar("sample", plan.episodes) as tell, SceneRenderer() as stage:
-        make_sample(root, plan, open_catalog(plan, folder, scene_cache()), stage, tell)
+    with progress_bar("sample", plan.episodes) as tell, SimulationContext() as stage:
+        make_sample(root, plan, catalog=open_catalog(plan, folder, scene_cache()), stage=stage, tell=tell)

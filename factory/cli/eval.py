@@ -206,7 +206,9 @@ def _drive(campaign: Campaign, store: Store, access: FleetAccess | None) -> bool
     with stop_on_signals() as (stop, _), pace_bars(campaign) as on_progress:
         if access is None:
             return run_campaign(campaign, store, stop, on_progress)
-        return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, access, stop, on_progress)
+        return run_fleet(
+            campaign, Dataset(campaign.root).meta.plan, store=store, access=access, stop=stop, tell=on_progress
+        )
 
 
 def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
@@ -290,15 +292,17 @@ def specs(
     from factory.eval.specs.unfiltered import unfiltered_specs
     from factory.support.logs import configure_logs
     from factory.support.terminal import one_bar, print_json
-    from workers.sim.context import SceneRenderer
+    from workers.sim.context import SimulationContext
 
     configure_logs()
     dataset = Dataset(root)
     chosen = splits_of(dataset, splits)
     with one_bar("start states") as on_progress:
         if unfiltered:
-            with SceneRenderer() as renderer:
-                result = unfiltered_specs(dataset, chosen, episodes or 100, seed=seed, stage=renderer, tell=on_progress)
+            with SimulationContext() as context:
+                result = unfiltered_specs(
+                    dataset, chosen, episodes or 100, seed=seed, context=context, tell=on_progress
+                )
         else:
             result = specs_of_dataset(dataset, chosen, on_progress, episodes)
     write_specs(result, out)

@@ -76,7 +76,9 @@ def start(
     with stop_on_signals() as (stop, _):
         try:
             with (
-                Gateway(root, name, connect, listen, settings, guard=guard, stop=stop) as gateway,
+                Gateway(
+                    root, name, connect=connect, listen=listen, settings=settings, guard=guard, stop=stop
+                ) as gateway,
                 status_pages(gateway, pages),
             ):
                 click.echo(f"gateway {name} of run {gateway.run}, storing episodes in {root}", err=True)

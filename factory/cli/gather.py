@@ -110,7 +110,7 @@ def _join(
     catalog = open_catalog(plan, site.place, scene_cache(), print_building, packages=shards[0][0] / SCENES)
     target = JoinTarget(site.place, site.state_dir, ledger_url_of(site.state_dir, ledger), plan=plan, catalog=catalog)
     with one_bar("gathering shards") as on_progress, Validator() as checker:
-        report = join_shards(target, shards, checker, datetime.now(UTC), on_progress)
+        report = join_shards(target, shards, checker=checker, now=datetime.now(UTC), on_progress=on_progress)
     print_result(report, as_json, _print_joined)
     return 1 if report.episodes < report.planned and not is_partial else 0
 

@@ -178,7 +178,7 @@ def _run(
             if recorder is not None:
                 recorder.record(progress)
 
-        progress = run_locally(run, CoordinatorSettings(), stop, on_progress, pages)
+        progress = run_locally(run, CoordinatorSettings(), stop=stop, tell=on_progress, pages=pages)
     if recorder is not None:
         recorder.finish(progress)
     return progress

@@ -98,7 +98,7 @@ class EpisodeBundle(BundleReader):
 
     def _view(self, t: int, size: int = FRAME_SIZE_PX) -> tuple[View, str]:
         change = None if self.appearance is None else self.appearance.camera
-        view = View(self.shown, self.meta.job.camera, Pose.of(self.arrays.poses[t]), size, change)
+        view = View(self.shown, self.meta.job.camera, pose=Pose.of(self.arrays.poses[t]), size=size, change=change)
         return view, self.meta.provenance.fingerprint.renderer
 
     def _rendered(self, t: int) -> Frame:

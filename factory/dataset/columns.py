@@ -117,8 +117,8 @@ class Columns:
         return {name: read(position) for name, read in self._readers.items()}
 
     def _open(self) -> pq.ParquetFile:
-        found = table_of(self._path)
-        source = pa.OSFile(str(found)) if isinstance(found, Path) else found  # stays readable if it is replaced
+        table = table_of(self._path)
+        source = pa.OSFile(str(table)) if isinstance(table, Path) else table  # stays readable if it is replaced
         footer = pq.read_metadata(source)
         names = footer.schema.to_arrow_schema().names
         missing = [name for name in NAMES if name not in {*names, *_LATER.names}]

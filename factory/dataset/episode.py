@@ -207,8 +207,10 @@ class Episode(Closing):
 
         chosen = self._sensors(sensors)
         with self._reading() as bundle:
-            found = {name: sensor for name, sensor in chosen.items() if isinstance(sensor, Imu | WheelOdometry)}
-            return {name: measure(bundle, sensor) for name, sensor in found.items()}
+            motion_sensors = {
+                name: sensor for name, sensor in chosen.items() if isinstance(sensor, Imu | WheelOdometry)
+            }
+            return {name: measure(bundle, sensor) for name, sensor in motion_sensors.items()}
 
     def _sensors(self, names: Iterable[str] | None) -> Mapping[str, Sensor]:
         if self.rig is None:
@@ -288,10 +290,10 @@ class _Opened:
 def _refusal(path: FilePlace, file: BinaryIO, steps: int) -> ArchiveCorrupt:
     """Returns the error for a bundle that is damaged or does not have the expected number of steps."""
     try:
-        own = BundleReader(file)
+        bundle = BundleReader(file)
     except InvalidBundle as error:
         return _corrupt(path, error)
-    return ArchiveCorrupt(f"{path} has {own.length} steps, the metadata has {steps}: run `factory verify --deep`")
+    return ArchiveCorrupt(f"{path} has {bundle.length} steps, the metadata has {steps}: run `factory verify --deep`")
 
 
 def _corrupt(path: FilePlace, error: InvalidBundle) -> ArchiveCorrupt:

@@ -119,7 +119,7 @@ def find_package_file(root: Place, name: str, sha256: str) -> Path:
     Raises:
         ArchiveCorrupt: No package has the digest; the message lists the digests found and the folders.
     """
-    found = []
+    candidates = []
     folders = (root / SCENES, *scene_path())
     places = [place for folder in folders for place in packages_of(folder, name)]
     # a package with the digest in its name is read first
@@ -128,8 +128,8 @@ def find_package_file(root: Place, name: str, sha256: str) -> Path:
         digest = digest_of(path)
         if digest == sha256:
             return path
-        found.append(f"{place} has SHA-256 {digest}")
-    others = "; ".join(found) or f"no package of scene {name} was found"
+        candidates.append(f"{place} has SHA-256 {digest}")
+    others = "; ".join(candidates) or f"no package of scene {name} was found"
     raise ArchiveCorrupt(
         f"the package of scene {name} with SHA-256 {sha256} is missing: {others}; searched: "
         f"{', '.join(map(str, folders))}. Restore the file, or add its folder to MINIVLA_SCENES"
@@ -143,12 +143,12 @@ def packages_of(folder: Place, name: str) -> list[Place]:
 
 def packages_by_scene(folder: Place) -> dict[str, Place]:
     """Returns one package for each scene in a folder, by scene name; the folder need not exist."""
-    found: dict[str, Place] = {}
+    packages: dict[str, Place] = {}
     for place in children(folder):
         name, separator, _ = place.name.rpartition("-")
         if separator and place.name.endswith(".scene.zip"):
-            found.setdefault(name, place)
-    return found
+            packages.setdefault(name, place)
+    return packages
 
 
 def package_file(place: Place) -> Path:

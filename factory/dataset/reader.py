@@ -185,13 +185,13 @@ class Dataset:
                 raise UsageError(
                     f"unknown filter {name!r}; valid filters: {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}"
                 )
-            asked, column = _as_strings(values), self._columns[_FILTERS[name]]
+            values_wanted, column = _as_strings(values), self._columns[_FILTERS[name]]
             held = column.dictionary if pa.types.is_dictionary(column.type) else column
             if name == "scene":
-                asked = _with_layouts(asked, held)
-            unheld = asked.filter(pc.invert(pc.is_in(asked, held)))
+                values_wanted = _with_layouts(values_wanted, held)
+            unheld = values_wanted.filter(pc.invert(pc.is_in(values_wanted, held)))
             require_known(name, unheld.to_pylist(), held.to_pylist, self.meta.plan)
-            matching = pc.is_in(column, asked).to_numpy(zero_copy_only=False)
+            matching = pc.is_in(column, values_wanted).to_numpy(zero_copy_only=False)
             chosen = np.flatnonzero(matching) if chosen is None else chosen[matching[chosen]]
         return self._with(chosen)
 
@@ -264,21 +264,21 @@ def _rig(rig: str | Path | Rig, control_hz: int) -> Rig:
     return rig
 
 
-def _with_layouts(asked: pa.Array, held: pa.Array) -> pa.Array:
+def _with_layouts(chosen: pa.Array, held: pa.Array) -> pa.Array:
     """Returns the requested scenes, with all layouts of each requested family."""
-    wanted = set(asked.to_pylist())
+    wanted = set(chosen.to_pylist())
     layouts = [name for name in held.unique().to_pylist() if name not in wanted and family_of(name) in wanted]
-    return pa.concat_arrays([asked, pa.array(layouts, pa.string())])
+    return pa.concat_arrays([chosen, pa.array(layouts, pa.string())])
 
 
 def _as_strings(values: str | Iterable[str]) -> pa.Array:
-    found = [values] if isinstance(values, str) else list(values)
-    return pa.array([value.value if isinstance(value, StrEnum) else value for value in found], pa.string())
+    texts = [values] if isinstance(values, str) else list(values)
+    return pa.array([value.value if isinstance(value, StrEnum) else value for value in texts], pa.string())
 
 
 def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:
     try:
         return EpisodeSummary.model_validate(row)
     except ValidationError as error:
-        found = f"{error.error_count()} wrong values, first at {error.errors()[0]['loc']}"
-        raise ArchiveCorrupt(f"{root / METADATA_FILE} is damaged ({found}): resume the run to rewrite it") from error
+        problem = f"{error.error_count()} wrong values, first at {error.errors()[0]['loc']}"
+        raise ArchiveCorrupt(f"{root / METADATA_FILE} is damaged ({problem}): resume the run to rewrite it") from error

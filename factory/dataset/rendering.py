@@ -112,7 +112,14 @@ def _rays_of(varied: AppearancePackage) -> SceneRays:
 def drawn_for(ranges: Appearance, job: Job, package: ScenePackage, poses: NDArray[np.float64]) -> DrawnAppearance:
     """Returns the factors of an episode; raises the errors of `ScenePackage.appearance_scene`."""
     place = package.appearance_scene(ranges.light is not None)
-    return draw_appearance(ranges, job.root_seed, job.index, place, place.scene.info.target(job.target_id), poses)
+    return draw_appearance(
+        ranges,
+        job.root_seed,
+        episode=job.index,
+        place=place,
+        target=place.scene.info.target(job.target_id),
+        poses=poses,
+    )
 
 
 KEPT_SCENES = 4

@@ -55,4 +55,4 @@ def trajectory_of(bundle: EpisodeBundle) -> Trajectory:
     """Returns the recorded states of an episode."""
     job, arrays = bundle.meta.job, bundle.arrays
     twists = arrays.actions_continuous.astype(np.float64)
-    return Trajectory(arrays.poses, twists, job.task.control_hz, job.root_seed, job.index)
+    return Trajectory(arrays.poses, twists, control_hz=job.task.control_hz, seed=job.root_seed, episode=job.index)

@@ -12,7 +12,7 @@ from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn,
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving.live_view import live_appearance, require_live
-from factory.eval.models.messages import Setup
+from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet, read_specs
 from factory.eval.policies.registry import check_name, require_available
@@ -92,7 +92,7 @@ def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
     rig = None if options.rig is None else load_rig(options.rig, specs.settings.task.control_hz)
     if rig is not None:
         require_live(rig, specs.settings.task.control_hz)
-    setup = Setup(
+    setup = EvalSetup(
         settings=specs.settings,
         renderer=options.renderer,
         act_timeout_s=options.act_timeout,

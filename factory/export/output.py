@@ -188,14 +188,14 @@ class Output(Closing):
 
 def sync_tree(folder: Path) -> None:
     """Syncs all files and directory entries below a folder to disk."""
-    found = [(Path(place), names) for place, _, names in os.walk(folder)]
-    files = [place / name for place, names in found for name in names]
+    folders = [(Path(place), names) for place, _, names in os.walk(folder)]
+    files = [place / name for place, names in folders for name in names]
     if len(files) > _FEW_FILES:
         os.sync()  # one call for all files; `sync_file` takes 7 ms per file
         return
     for file in files:
         sync_file(file)
-    for place, _ in found:
+    for place, _ in folders:
         sync_directory(place)
 
 

@@ -23,7 +23,7 @@ from factory.eval.driving.live_view import RigSensors, SensorArrays, live_appear
 from factory.eval.driving.measure import odometry
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import EvalSpec, SpecSet, read_specs
-from factory.eval.specs.from_dataset import Places, specs_of_dataset
+from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
 from schemas.appearance import Appearance
 from schemas.encoding.arrays import ArraySpec
@@ -37,7 +37,7 @@ from schemas.terms import EndReason, RendererKind, Split
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.experts.observation import Observation
 from workers.geometry.slew import Twist
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 _UNBOUNDED = {"f": 1e9, "i": 2**53}
 """Bound of a box for values without a limit, by kind of NumPy type. Gymnasium's checker warns of infinite bounds."""
@@ -50,9 +50,9 @@ def live_rig(rig: str | Path | Rig, control_hz: int) -> Rig:
         UsageError: The rig does not exist, has optical flow, or a package of a sensor is not installed.
         InvalidRig: The rig has mistakes, or a rate does not divide the control rate.
     """
-    found = rig if isinstance(rig, Rig) else load_rig(str(rig), control_hz)
-    require_live(found, control_hz)
-    return found
+    chosen = rig if isinstance(rig, Rig) else load_rig(str(rig), control_hz)
+    require_live(chosen, control_hz)
+    return chosen
 
 
 def rig_spaces(rig: Rig) -> dict[str, spaces.Space[Any]]:
@@ -190,9 +190,9 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         """Appearance of the scenes."""
         self.observation_space = self._make_observation_space(size)
         self.action_space = self._make_action_space()
-        self._places = Places(root)
+        self._places = LoadedScenes(root)
         self._pid = os.getpid()
-        self._stage = SceneRenderer(renderer, apart=True)
+        self._stage = SimulationContext(renderer, apart=True)
         self._simulator = Simulator(self._stage, self.specs.settings, self.appearance)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[GymObservation, Info]:

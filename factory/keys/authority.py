@@ -55,7 +55,7 @@ def create_authority_certificate(name: str, days: int, now: datetime) -> Certifi
         decipher_only=False,
     )
     signed = (
-        _builder(_name(name), _name(name), key, days, now)
+        _builder(_name(name), _name(name), key=key, days=days, now=now)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(usage, critical=True)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
@@ -91,7 +91,7 @@ def issue(
     purposes = [ExtendedKeyUsageOID.SERVER_AUTH] * listens + [ExtendedKeyUsageOID.CLIENT_AUTH] * connects
     reached = dict.fromkeys((name, *_LOOPBACK, *addresses) if listens else (name, *addresses))
     signed = (
-        _builder(_name(name), signer.subject, key, days, now)
+        _builder(_name(name), signer.subject, key=key, days=days, now=now)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.ExtendedKeyUsage(purposes), critical=True)
         .add_extension(x509.SubjectAlternativeName([_alternative(address) for address in reached]), critical=False)
@@ -127,8 +127,8 @@ def addresses_of(certificate: bytes) -> tuple[str, ...]:
     from cryptography import x509
 
     try:
-        found = x509.load_pem_x509_certificate(certificate)
-        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        loaded = x509.load_pem_x509_certificate(certificate)
+        names = loaded.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
         return ()
     except ValueError as error:

@@ -82,7 +82,7 @@ def admit(
     files = tls_files(place)
     if files.key.exists() and not renew:
         raise UsageError(f"{place} already has a certificate; pass --renew to replace it, or choose another name")
-    made = issue(authority, name, role, addresses, days, now)
+    made = issue(authority, name, role=role, addresses=addresses, days=days, now=now)
     with translated("write", place):
         place.mkdir(mode=0o700, exist_ok=True)
         _write_secret(files.key, made.key)
@@ -127,7 +127,15 @@ def list_hosts(folder: Path) -> list[HostKeys]:
     for place in sorted(path.parent for path in folder.glob(f"*/{_ROLE_FILE}")):
         role = Role((place / _ROLE_FILE).read_text().strip())
         is_in = role is Role.COORDINATOR or admitted.get(place.name) is role
-        hosts.append(HostKeys(place.name, role, is_in, expiry_of(tls_files(place).certificate.read_bytes()), place))
+        hosts.append(
+            HostKeys(
+                place.name,
+                role,
+                admitted=is_in,
+                expires=expiry_of(tls_files(place).certificate.read_bytes()),
+                folder=place,
+            )
+        )
     return hosts
 
 

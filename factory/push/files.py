@@ -132,7 +132,7 @@ def plan_push(root: Path, manifest_name: str) -> PushPlan:
         raise WorldError(f"{root} contains no files to upload")
     remarks += _incomplete(root / (META_FILE if kind == "dataset" else manifest_name), kind)
     remarks += _crowded(files)
-    return PushPlan(root, kind, tuple(files), _lerobot_version(root), tuple(remarks))
+    return PushPlan(root, kind, files=tuple(files), tag=_lerobot_version(root), remarks=tuple(remarks))
 
 
 def batches_of(
@@ -156,8 +156,8 @@ def _kind_of(root: Path, manifest_name: str) -> str:
         return "export"
     if (root / META_FILE).is_file():
         return "dataset"
-    found = f"neither {META_FILE} (a dataset) nor {manifest_name} (an export)"
-    raise UsageError(f"{root} has {found}: give the --out of `factory run` or of `factory export`")
+    problem = f"neither {META_FILE} (a dataset) nor {manifest_name} (an export)"
+    raise UsageError(f"{root} has {problem}: give the --out of `factory run` or of `factory export`")
 
 
 def _walk(root: Path, kind: str, remarks: list[str]) -> Iterator[PushFile]:
@@ -198,8 +198,8 @@ def _incomplete(description: Path, kind: str) -> list[str]:
     if meta.get("complete") is not False:
         return []
     if kind == "dataset":
-        found = f"{meta.get('episodes')} of {meta.get('planned')} planned episodes"
-        return [f"the dataset is not complete ({found}): complete it with `factory run`, or push it again later"]
+        lines = f"{meta.get('episodes')} of {meta.get('planned')} planned episodes"
+        return [f"the dataset is not complete ({lines}): complete it with `factory run`, or push it again later"]
     return ["the export is not complete: run `factory export` again, or it is uploaded incomplete"]
 
 
@@ -224,7 +224,7 @@ def _read_json(path: Path, most_bytes: int) -> dict[str, object]:
     try:
         if path.stat().st_size > most_bytes:
             return {}
-        found = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}

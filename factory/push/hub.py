@@ -66,10 +66,10 @@ def push(
         )
     with _translated(hub, repository, api.endpoint):
         url = api.create_repo(repository, repo_type="dataset", private=private or None, exist_ok=True)
-        commits = _commit_all(hub, api, plan, repository, tell)
+        commits = _commit_all(hub, api, plan=plan, repository=repository, tell=tell)
         if plan.tag is not None:
             _move_tag(hub, api, repository, plan.tag)
-    return PushResult(str(url), commits, len(plan.files), plan.total_bytes, plan.tag)
+    return PushResult(str(url), commits, files=len(plan.files), total_bytes=plan.total_bytes, tag=plan.tag)
 
 
 def require_safe_endpoint(endpoint: str) -> None:

@@ -102,27 +102,29 @@ def with_paraphrases(spec: LanguageSpec, endpoint: Endpoint, cache: Path) -> tup
     in_succession = 0
     # patterns, not sentences: in a sentence, the endpoint could change the referring expression, which could not be
     # verified then
-    for asked in _questions(spec):
-        key = hashlib.sha256(f"{endpoint.model}\n{asked.prompt}".encode()).hexdigest()
+    for request in _questions(spec):
+        key = hashlib.sha256(f"{endpoint.model}\n{request.prompt}".encode()).hexdigest()
         if key not in known:
             if in_succession >= _MOST_FAILURES:
                 failed["not asked, because the endpoint does not answer"] += 1
                 continue
             try:
-                known[key] = _ask(endpoint, asked.prompt)
+                known[key] = _ask(endpoint, request.prompt)
             except _Failed as error:
                 failed[str(error)] += 1
                 in_succession += 1
                 continue
             in_succession = 0
             _write(cache, known)
-        own = accepted[asked.code][asked.register]
-        _keep(grammar(asked.code), known[key], own, refused)
-    kept = {code: {name: tuple(own) for name, own in group.items() if own} for code, group in accepted.items()}
-    found = {code: group for code, group in kept.items() if group}
-    count = sum(len(own) for group in found.values() for own in group.values())
+        phrases = accepted[request.code][request.register]
+        _keep(grammar(request.code), known[key], phrases, refused)
+    kept = {
+        code: {name: tuple(phrases) for name, phrases in group.items() if phrases} for code, group in accepted.items()
+    }
+    groups = {code: group for code, group in kept.items() if group}
+    count = sum(len(phrases) for group in groups.values() for phrases in group.values())
     report = ParaphraseReport(accepted=count, refused=dict(refused), failed=dict(failed))
-    return LanguageSpec.model_validate({**spec.model_dump(), "paraphrases": found}), report
+    return LanguageSpec.model_validate({**spec.model_dump(), "paraphrases": groups}), report
 
 
 def _questions(spec: LanguageSpec) -> Iterator[_Question]:
@@ -135,17 +137,17 @@ def _questions(spec: LanguageSpec) -> Iterator[_Question]:
                 yield _Question(code, register, text, prompt)
 
 
-def _keep(source: Grammar, lines: tuple[str, ...], own: list[str], refused: Counter[str]) -> None:
+def _keep(source: Grammar, lines: tuple[str, ...], phrases: list[str], refused: Counter[str]) -> None:
     """Adds the usable lines to the patterns of a register, and counts the unusable lines by reason."""
     existing = {each.before + each.after for each in source.sentences}
     for line in lines:
         fault = pattern_fault(source.code, line)
         if fault:
             refused[fault] += 1
-        elif line in own or line.replace("{np}", "") in existing:
+        elif line in phrases or line.replace("{np}", "") in existing:
             refused["the pattern exists already"] += 1
         else:
-            own.append(line)
+            phrases.append(line)
 
 
 def _ask(endpoint: Endpoint, prompt: str) -> tuple[str, ...]:
@@ -162,8 +164,8 @@ def _ask(endpoint: Endpoint, prompt: str) -> tuple[str, ...]:
     request = urllib.request.Request(url, json.dumps(body).encode(), headers)  # noqa: S310 - see `_require_url`
     try:
         with _OPENER.open(request, timeout=endpoint.timeout_s) as reply:
-            said = json.loads(_within(reply, endpoint.timeout_s))["choices"][0]["message"]["content"]
-        lines = tuple(filter(None, (line.strip(" \t-\u2022") for line in said.splitlines())))
+            reply_text = json.loads(_within(reply, endpoint.timeout_s))["choices"][0]["message"]["content"]
+        lines = tuple(filter(None, (line.strip(" \t-\u2022") for line in reply_text.splitlines())))
         return ParaphraseCache(answers={"0" * 64: lines}).answers["0" * 64]
     except urllib.error.HTTPError as error:
         raise _Failed(f"HTTP {error.code}") from error

@@ -206,13 +206,15 @@ class PartWriter:
                 self._add(start, episode)
 
     def _add(self, start: LanguageStart, episode: Episode | None) -> None:
-        kinds, found = self._task.spec.kinds, []
+        kinds, instructions = self._task.spec.kinds, []
         if TextKind.GOAL in kinds:
-            found = instructions_of(start, self._scene, self._composer, self._task.camera)
+            instructions = instructions_of(start, self._scene, self._composer, self._task.camera)
         routes = self._routes(start, episode) if episode is not None and TextKind.ROUTE in kinds else []
         number = self._scene.graph.number_of[start.target_id]
-        said = [route_row(start.episode_id, start.index, each, self._scene.distractors(number)) for each in routes]
-        rows = rows_of(start, found, said)
+        route_rows = [
+            route_row(start.episode_id, start.index, each, self._scene.distractors(number)) for each in routes
+        ]
+        rows = rows_of(start, instructions, route_rows)
         self.rows += rows
         by_text = {each.text: each for each in routes}
         for row in rows:
@@ -220,8 +222,8 @@ class PartWriter:
                 self.tables[STEPS_FILE][0].extend(step_rows(row, by_text[row["instruction"]]))
 
         if episode is not None and self._task.spec.questions:
-            asked = question_rows(start.episode_id, start.index, self._questions(start, episode, found))
-            self.tables[QUESTIONS_FILE][0].extend(asked)
+            question_rows_ = question_rows(start.episode_id, start.index, self._questions(start, episode, instructions))
+            self.tables[QUESTIONS_FILE][0].extend(question_rows_)
 
     def _rng(self, start: LanguageStart, stream: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence((self._task.spec.seed, start.index), spawn_key=(stream,)))
@@ -231,14 +233,20 @@ class PartWriter:
         number = self._scene.graph.number_of[start.target_id]
         return self.routes.write(self._place, episode.poses, number, held_out, self._rng(start, _ROUTE_STREAM))
 
-    def _questions(self, start: LanguageStart, episode: Episode, found: Sequence[Instruction]) -> list[Question]:
+    def _questions(self, start: LanguageStart, episode: Episode, instructions: Sequence[Instruction]) -> list[Question]:
         """Returns the questions about an episode; checks answers about a view with the recorded images, if any."""
         assert self._dataset is not None
         images = episode if self._dataset.meta.plan.record is Recording.FRAMES else None
-        goals = tuple(each for each in found if each.kind is InstructionKind.GOAL)
+        goals = tuple(each for each in instructions if each.kind is InstructionKind.GOAL)
         number, held_out = self._scene.graph.number_of[start.target_id], Split(start.split).is_paraphrased
-        asked = AskedEpisode(episode.poses, number, goals, Split(start.split) is Split.TEST_FALSE_PREMISE, images)
-        return self.questions.write(self._place, asked, held_out, self._rng(start, _QUESTION_STREAM))
+        episode_of_questions = AskedEpisode(
+            episode.poses,
+            number,
+            goals=goals,
+            is_false_premise=Split(start.split) is Split.TEST_FALSE_PREMISE,
+            images=images,
+        )
+        return self.questions.write(self._place, episode_of_questions, held_out, self._rng(start, _QUESTION_STREAM))
 
 
 @functools.lru_cache(maxsize=_KEPT_SCENES)
@@ -263,7 +271,7 @@ def instructions_of(
 
 
 def rows_of(
-    start: LanguageStart, found: list[Instruction], routes: Sequence[dict[str, Any]] = ()
+    start: LanguageStart, instructions: list[Instruction], routes: Sequence[dict[str, Any]] = ()
 ) -> list[dict[str, Any]]:
     """Returns the numbered rows of an episode: first its goals and routes, then all other instructions.
 
@@ -271,11 +279,11 @@ def rows_of(
 
     Args:
         start: values of the episode.
-        found: new instructions.
+        instructions: new instructions.
         routes: rows of routes without their number.
     """
-    goals = [_row(start, each) for each in found if each.kind is InstructionKind.GOAL]
-    others = [_row(start, each) for each in found if each.kind is not InstructionKind.GOAL]
+    goals = [_row(start, each) for each in instructions if each.kind is InstructionKind.GOAL]
+    others = [_row(start, each) for each in instructions if each.kind is not InstructionKind.GOAL]
     rows = [*([*goals, *routes] or [_recorded(start)]), *others]
     return [{**row, "number": number} for number, row in enumerate(rows, 1)]
 
@@ -288,5 +296,5 @@ def _row(start: LanguageStart, one: Instruction) -> dict[str, Any]:
 
 def _recorded(start: LanguageStart) -> dict[str, Any]:
     known = {"episode_id": start.episode_id, "index": start.index, "kind": str(InstructionKind.RECORDED)}
-    said = {"instruction": start.instruction, "template_id": start.template_id, "language": "en"}
-    return dict.fromkeys(SCHEMA.names) | known | said
+    recorded = {"instruction": start.instruction, "template_id": start.template_id, "language": "en"}
+    return dict.fromkeys(SCHEMA.names) | known | recorded

@@ -243,17 +243,17 @@ def relabel(
         table = pa.concat_tables([pq.read_table(file) for file in files]).sort_by(
             [("index", "ascending"), ("number", "ascending")]
         )
-        assemble(dataset, table, _other_tables(tasks, spec), spec, output)
+        assemble(dataset, table, others=_other_tables(tasks, spec), spec=spec, output=output)
         output.drop_work()
     return _report(out, len(dataset), table, rejected)
 
 
 def _order_of(dataset: Dataset, spec: LanguageSpec) -> RelabelOrder:
-    said = hashlib.sha256()
+    hasher = hashlib.sha256()
     for name in ("episode_id", "instruction", "target_id", "scene_sha256"):
-        said.update("\n".join(map(str, dataset.column(name).to_pylist())).encode())
+        hasher.update("\n".join(map(str, dataset.column(name).to_pylist())).encode())
     versions = software_versions(("minivla-factory", "numpy", "scipy"))
-    return RelabelOrder(source_digest=dataset.digest, rows_digest=said.hexdigest(), spec=spec, software=versions)
+    return RelabelOrder(source_digest=dataset.digest, rows_digest=hasher.hexdigest(), spec=spec, software=versions)
 
 
 def _require_same(out: Path, order: RelabelOrder) -> None:
@@ -263,8 +263,8 @@ def _require_same(out: Path, order: RelabelOrder) -> None:
         if out.exists() and (not out.is_dir() or any(entry.name != WORK_FOLDER for entry in out.iterdir())):
             raise UsageError(f"{out} exists and is not a relabelled dataset: choose another --out")
         return
-    found = _read_order(path)
-    differing = [name for name in RelabelOrder.model_fields if getattr(found, name) != getattr(order, name)]
+    recorded = _read_order(path)
+    differing = [name for name in RelabelOrder.model_fields if getattr(recorded, name) != getattr(order, name)]
     if differing:
         named = {"source_digest": "dataset", "rows_digest": "metadata table of the dataset", "spec": "language file"}
         what = ", ".join(named.get(name, name) for name in differing)
@@ -289,9 +289,9 @@ def recorded_paraphrases(out: Path, spec: LanguageSpec) -> LanguageSpec | None:
         WorldError: `relabel.json` is damaged.
     """
     path = out / RELABEL_FILE
-    found = _read_order(path).spec if path.is_file() else None
-    is_same = found is not None and found.model_copy(update={"paraphrases": spec.paraphrases}) == spec
-    return found if is_same else None
+    recorded = _read_order(path).spec if path.is_file() else None
+    is_same = recorded is not None and recorded.model_copy(update={"paraphrases": spec.paraphrases}) == spec
+    return recorded if is_same else None
 
 
 def _jobs(dataset: Dataset) -> Iterator[_Job]:
@@ -338,7 +338,12 @@ def _tasks(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec, output: O
         for first in range(0, len(job.starts), _PART_EPISODES):
             starts = job.starts[first : first + _PART_EPISODES]
             yield PartTask(
-                dataset.root, job.package, dataset.meta.plan.camera, spec, starts, _part_file(output, number)
+                dataset.root,
+                job.package,
+                camera=dataset.meta.plan.camera,
+                spec=spec,
+                starts=starts,
+                file=_part_file(output, number),
             )
             number += 1
 

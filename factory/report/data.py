@@ -83,8 +83,8 @@ class ReportInput:
 
 def mapped_scenes(plan: Plan) -> list[str]:
     """Returns the scenes of a plan that the report shows as maps; of a family, the first and the last layouts."""
-    found: list[str] = []
+    names_shown: list[str] = []
     for scene in plan.scenes:
         names = [part.name for part in plan.parts if family_of(part.name) == scene.name] if scene.layouts else []
-        found += [*names[:_FIRST_LAYOUTS], *names[_FIRST_LAYOUTS:][-_LAST_LAYOUTS:]] or [scene.name]
-    return found
+        names_shown += [*names[:_FIRST_LAYOUTS], *names[_FIRST_LAYOUTS:][-_LAST_LAYOUTS:]] or [scene.name]
+    return names_shown

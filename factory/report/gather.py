@@ -63,13 +63,13 @@ def gather(
     if chosen:
         # sorted by scene, so each scene is prepared only once
         for done, row in enumerate(sorted(chosen, key=lambda row: row.scene_sha256), 1):
-            _read_drive(root, row, row.episode_id in shown, infos, fits, drives, rows)
+            _read_drive(root, row, is_sample=row.episode_id in shown, infos=infos, fits=fits, drives=drives, rows=rows)
             on_progress(done, len(chosen))
         drives.views.sort(key=lambda view: view.row.index)
         drives.samples.sort(key=lambda sample: sample.row.index)
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
     episodes = by_measure(rows.episodes, rows.meta.plan.task.success)
-    return ReportInput(rows.meta, statistics, episodes, rows.failures, drives, maps)
+    return ReportInput(rows.meta, statistics, episodes=episodes, failures=rows.failures, drives=drives, maps=maps)
 
 
 def _read_drive(

@@ -153,15 +153,15 @@ def render_report(
         for panel in figure.panels:
             files[f"{FIGURES}/{panel.name}.svg"] = panel.svg.encode()
             files[f"{FIGURES}/{panel.name}.png"] = panel.png
-    found, meta = material.statistics, material.meta
+    statistics, meta = material.statistics, material.meta
     return files, Summary(
         run=meta.run,
         plan_digest=meta.plan_digest,
         dataset_digest=meta.dataset_digest,
-        episodes=found.episodes,
-        planned=found.planned,
-        complete=found.complete,
-        remarks=found.remarks,
+        episodes=statistics.episodes,
+        planned=statistics.planned,
+        complete=statistics.complete,
+        remarks=statistics.remarks,
         comparisons=comparisons,
         files=tuple(files),
     )

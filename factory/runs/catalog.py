@@ -91,7 +91,7 @@ def open_catalog(
         InvalidPlan: The scenes cannot fulfil the plan; the message describes the nearest feasible plan. Nothing has
             been written to `root`.
     """
-    entries = collect_scenes(plan, root, cache, tell, builds, only, packages)
+    entries = collect_scenes(plan, root, cache=cache, tell=tell, builds=builds, only=only, packages=packages)
     mistakes = find_impossible(plan, entries)
     if mistakes:
         nearest = find_nearest(plan, entries)
@@ -141,19 +141,19 @@ def collect_scenes(
             f"copy the packages that `factory scene build` or `factory scene import` prints, with the folder {TEXTURES}"
         )
     require_files(plan, held)
-    found: dict[str, Path] = {}
+    collected: dict[str, Path] = {}
     missing: list[str] = []
     parts = [part for part in plan.parts if only is None or part.name in held or part.name in only]
     for part in parts:
         if part.name in held:
-            found[part.name] = package_file(held[part.name])
+            collected[part.name] = package_file(held[part.name])
         elif isinstance(part, LayoutPlan):
             missing.append(part.name)
         else:
-            found[part.name] = _make(part, cache, partial(tell, part.name))
+            collected[part.name] = _make(part, cache, partial(tell, part.name))
     builds = builds or LayoutBuilds()
-    found |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
-    catalog = {part.name: read_entry(found[part.name]) for part in parts}
+    collected |= {built.name: built.path for built in build_layouts(plan, missing, cache, builds)}
+    catalog = {part.name: read_entry(collected[part.name]) for part in parts}
     _require_textures(catalog)
     return with_light(plan, catalog)
 
@@ -204,8 +204,8 @@ def find_built(plan: Plan, cache: Path) -> Catalog:
 
     Layouts of families are omitted, because only a build finds their seeds.
     """
-    found = {part.name: _find(part, cache) for part in plan.parts}
-    return {name: read_entry(path) for name, path in found.items() if path is not None}
+    packages = {part.name: _find(part, cache) for part in plan.parts}
+    return {name: read_entry(path) for name, path in packages.items() if path is not None}
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:
@@ -232,8 +232,12 @@ def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:
     book, chosen = _edits(scene)
     if scene.file is None:
         family = family_of(scene.name)
-        return build_scene(family, scene.seed, cache, book, chosen, tell, _called(scene))
-    return import_scene(Path(scene.file), scene.name, cache, book, chosen, _limits(scene), tell)
+        return build_scene(
+            family, scene.seed, cache=cache, rules=book, targets=chosen, tell=tell, called=_called(scene)
+        )
+    return import_scene(
+        Path(scene.file), scene.name, cache=cache, rules=book, targets=chosen, limits=_limits(scene), tell=tell
+    )
 
 
 def _find(scene: ScenePlan, cache: Path) -> Path | None:
@@ -241,9 +245,11 @@ def _find(scene: ScenePlan, cache: Path) -> Path | None:
         return None
     book, chosen = _edits(scene)
     if scene.file is None:
-        path = package_path(family_of(scene.name), scene.seed, cache, book, chosen, _called(scene))
+        path = package_path(
+            family_of(scene.name), scene.seed, cache=cache, rules=book, targets=chosen, called=_called(scene)
+        )
         return path if path.is_file() else None
-    return find_import(Path(scene.file), scene.name, cache, book, chosen, _limits(scene))
+    return find_import(Path(scene.file), scene.name, cache=cache, rules=book, targets=chosen, limits=_limits(scene))
 
 
 def _called(scene: ScenePlan) -> str | None:

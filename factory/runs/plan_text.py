@@ -161,22 +161,22 @@ def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
 
 def _share(plan: Plan, catalog: Catalog, far: list[PlannedJob]) -> float | None:
     """Returns the share for the far starts of one scene; `None` if no surveyed point is in range of its targets."""
-    place = prepare_scene(read_geometry(catalog[far[0].episode.scene].path))
+    scene = prepare_scene(read_geometry(catalog[far[0].episode.scene].path))
     number = Counter(planned.episode.target_id for planned in far)
     first = {planned.episode.target_id: planned for planned in reversed(far)}
     weighted = [
         (count, share)
         for name, count in number.most_common(_MOST_TARGETS)
-        if (share := _share_of_target(plan, catalog, first[name], place)) is not None
+        if (share := _share_of_target(plan, catalog, first[name], scene)) is not None
     ]
     return sum(count * share for count, share in weighted) / sum(count for count, _ in weighted) if weighted else None
 
 
-def _share_of_target(plan: Plan, catalog: Catalog, planned: PlannedJob, place: LoadedScene) -> float | None:
+def _share_of_target(plan: Plan, catalog: Catalog, planned: PlannedJob, scene: LoadedScene) -> float | None:
     job = to_job(plan, catalog, planned, attempt=1)
-    target = place.scene.info.target(job.target_id)
-    points = surveyed_points(job, target, place)
-    bent = [not is_way_straight(place.grid, point, target, job.task) for point in points]
+    target = scene.compiled.info.target(job.target_id)
+    points = surveyed_points(job, target, scene)
+    bent = [not is_way_straight(scene.grid, point, target, job.task) for point in points]
     return sum(bent) / len(bent) if bent else None
 
 

@@ -18,7 +18,7 @@ from schemas.errors import WorldError
 from schemas.storage.place import FilePlace, Place
 from schemas.terms import RendererKind
 from workers.sim.attempt import AttemptFailure, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ def replay_episode(
         InvalidBundle: The archived bundle cannot be read.
         WorldError: The replayed attempt failed.
     """
-    with episode.open("rb") as file, tempfile.TemporaryFile() as out, SceneRenderer(renderer, apart=True) as stage:
+    with episode.open("rb") as file, tempfile.TemporaryFile() as out, SimulationContext(renderer, apart=True) as stage:
         archived = BundleReader(file)
         job = archived.meta.job
         stage.load(find_package(root, job.scene, job.scene_sha256).path, job.scene_sha256)
-        outcome = run_attempt(job, stage, out, "replay", lambda step: on_step(step, archived.length))
+        outcome = run_attempt(job, stage, out=out, sid="replay", on_step=lambda step: on_step(step, archived.length))
         if isinstance(outcome, AttemptFailure):
             raise WorldError(f"{job.episode_id}: the replay ended with {outcome.reason}: {outcome.detail}")
         return _compare(archived, out)
@@ -81,21 +81,21 @@ def _compare(archived: BundleReader, out: BinaryIO) -> Replay:
 
 def _differences(one: BundleReader, other: BundleReader) -> dict[str, float]:
     steps = min(one.length, other.length)
-    found = {"steps": float(abs(one.length - other.length))}
+    differences = {"steps": float(abs(one.length - other.length))}
     for name in ("poses", "actions_continuous", "actions_tokens"):
         a, b = (getattr(reader.arrays, name)[:steps].astype(np.float64) for reader in (one, other))
-        found[name] = float(np.abs(a - b).max())
+        differences[name] = float(np.abs(a - b).max())
     ours, theirs = one.meta.sensor_digests, other.meta.sensor_digests
-    found |= {f"sensor {name} differs": 1.0 for name in ours if theirs.get(name) != ours[name]}
+    differences |= {f"sensor {name} differs": 1.0 for name in ours if theirs.get(name) != ours[name]}
     if not (one.has_frames and other.has_frames):  # a recording of states has only the digests of sampled frames
         pairs = zip(one.meta.frame_digests, other.meta.frame_digests, strict=False)
-        return found | {"differing sampled frames": float(sum(a != b for a, b in pairs))}
+        return differences | {"differing sampled frames": float(sum(a != b for a, b in pairs))}
     for name in ("rgb", "depth", "ids"):
-        found[name] = max(
+        differences[name] = max(
             float(np.abs(getattr(one, name)(t).astype(np.float64) - getattr(other, name)(t)).max())
             for t in range(steps)
         )
-    return found
+    return differences
 
 
 def _fingerprint_changes(one: BundleReader, other: BundleReader) -> dict[str, tuple[str, str]]:

@@ -36,13 +36,13 @@ _PAUSE_S = 2.0
 
 
 def choose_shard(
-    site: Site, asked: RunShard | None, plan: Plan, ledger: str | None = None, *, is_new: bool
+    site: Site, wanted: RunShard | None, plan: Plan, ledger: str | None = None, *, is_new: bool
 ) -> RunShard | None:
     """Returns the shard to run in a directory: the one that it contains, or the requested one.
 
     Args:
         site: location of the shard.
-        asked: value of `--shard`; `None` continues the shard that the directory contains.
+        wanted: value of `--shard`; `None` continues the shard that the directory contains.
         plan: plan of the run.
         ledger: URL of the ledger, if it is not in the directory.
         is_new: whether the directory contains no run yet.
@@ -51,15 +51,15 @@ def choose_shard(
         UsageError: the directory contains the whole run or another shard, or the plan has too few episodes.
     """
     recorded = shard_of(site, ledger)
-    if asked is None:
+    if wanted is None:
         return recorded
     if not is_new or recorded is not None:
-        require_shard(recorded, asked)
-    if asked.count > plan.episodes:
+        require_shard(recorded, wanted)
+    if wanted.count > plan.episodes:
         raise UsageError(
-            f"--shard {asked}: plan {plan.name} has {plan.episodes} episodes; use at most {plan.episodes} shards"
+            f"--shard {wanted}: plan {plan.name} has {plan.episodes} episodes; use at most {plan.episodes} shards"
         )
-    return asked
+    return wanted
 
 
 def may_take_over(

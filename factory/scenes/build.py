@@ -94,12 +94,12 @@ def build_scene(
         LayoutError: the seed has no valid layout, or its layout lacks a category of the scene.
         WorldError: the cache cannot be written.
     """
-    path = package_path(name, seed, cache, rules, targets, called)
+    path = package_path(name, seed, cache=cache, rules=rules, targets=targets, called=called)
     if not _is_built(path):
         require_building()
         tell()
         try:
-            scene = _compile_builtin(name, seed, called, rules, targets, cache)
+            scene = _compile_builtin(name, seed, called=called, rules=rules, targets=targets, cache=cache)
         except WorldError as error:
             raise LayoutError(f"{name}, seed {seed}: {error}") from error
         if _is_paper(name, seed, called):
@@ -140,18 +140,18 @@ def _compile_builtin(
         with tempfile.TemporaryDirectory(prefix="scene-") as directory:
             stage = author_scene(PAPER_LAYOUTS[name], seed, Path(directory))
             # materials would change the bytes of the packages of the paper's layouts
-            return compile_stage(stage, name, source, book, targets, has_materials=False)
+            return compile_stage(stage, name, source=source, rules=book, chosen=targets, has_materials=False)
     required = {category for group in BUILTIN_CATEGORIES[name] for category in group}
     is_usual = rules is None and targets is None
     return compile_extraction(
         name,
         author_content(BUILTIN_SCENES[name], seed),
-        called or name,
-        source,
-        book,
-        targets,
-        LAYOUT_DETAIL,
-        required if is_usual else (),
+        name=called or name,
+        source=source,
+        rules=book,
+        chosen=targets,
+        detail=LAYOUT_DETAIL,
+        required=required if is_usual else (),
         draw=DrawnTextures(cache, AUTHOR_VERSION).pixels,
     )
 
@@ -211,7 +211,9 @@ def import_scene(
     from factory.scenes.compile.compiler import compile_extraction
 
     tell()
-    data = encode_scene(compile_extraction(path.name, extraction, name, path.name, rules, targets))
+    data = encode_scene(
+        compile_extraction(path.name, extraction, name=name, source=path.name, rules=rules, chosen=targets)
+    )
     package = cache / package_name(name, hashlib.sha256(data).hexdigest())
     write_whole(package, data)
     remember_package(cache, name, made_from, package)

@@ -38,17 +38,17 @@ def measure_dataset(root: Place, compare_paper: bool | None = None) -> Statistic
 
 def compute_statistics(name: str, rows: Rows, compare_paper: bool | None = None) -> Statistics:
     """Returns all statistics tables for the rows of the dataset `name`; see `measure_dataset`."""
-    found = _all_tables(name, rows)
+    statistics = _all_tables(name, rows)
     is_wanted = is_paper_plan(rows.meta.plan) if compare_paper is None else compare_paper
-    return found if is_wanted else _without_paper(found)
+    return statistics if is_wanted else _without_paper(statistics)
 
 
-def _without_paper(found: Statistics) -> Statistics:
+def _without_paper(statistics: Statistics) -> Statistics:
     changes: dict[str, object] = {"beside_paper": False}
     for table in _WITH_PAPER:
-        rows = getattr(found, table)
+        rows = getattr(statistics, table)
         changes[table] = rows and tuple(row.model_copy(update={"paper": None}) for row in rows)
-    return found.model_copy(update=changes)
+    return statistics.model_copy(update=changes)
 
 
 def _all_tables(name: str, rows: Rows) -> Statistics:

@@ -26,9 +26,9 @@ def count_categories(episodes: Episodes, plan: Plan) -> tuple[CountRow, ...]:
     """Returns one row for each category of the plan, the most frequent first (paper Fig. 6)."""
     kinds = {name: "held out" for scene in plan.scenes for name in scene.categories.held_out}
     kinds |= {name: "seen" for scene in plan.scenes for name in scene.categories.seen}
-    found = Counter(row.target_category for row in episodes)
-    names = sorted(kinds.keys() | found.keys(), key=lambda name: (-found[name], name))
-    return _rows(found, {name: kinds.get(name, "not in the plan") for name in names}, paper.CATEGORIES)
+    categories = Counter(row.target_category for row in episodes)
+    names = sorted(kinds.keys() | categories.keys(), key=lambda name: (-categories[name], name))
+    return _rows(categories, {name: kinds.get(name, "not in the plan") for name in names}, paper.CATEGORIES)
 
 
 def share_of_largest(rows: Sequence[CountRow], count: int) -> float | None:
@@ -39,10 +39,10 @@ def share_of_largest(rows: Sequence[CountRow], count: int) -> float | None:
 
 def count_templates(episodes: Episodes) -> tuple[CountRow, ...]:
     """Returns one row for each template, in the paper's order (paper Fig. 12)."""
-    found = Counter(row.template_id for row in episodes)
+    templates = Counter(row.template_id for row in episodes)
     kinds = {name: _kind(name) for name in TEMPLATES}
-    kinds |= dict.fromkeys(sorted(found.keys() - TEMPLATES.keys()), "unknown")
-    return _rows(found, kinds, paper.TEMPLATE_COUNTS)
+    kinds |= dict.fromkeys(sorted(templates.keys() - TEMPLATES.keys()), "unknown")
+    return _rows(templates, kinds, paper.TEMPLATE_COUNTS)
 
 
 def overlaps(episodes: Episodes, plan: Plan) -> tuple[OverlapRow, ...]:
@@ -51,14 +51,14 @@ def overlaps(episodes: Episodes, plan: Plan) -> tuple[OverlapRow, ...]:
     return (*rows, *_overlaps_in(ALL, episodes))
 
 
-def _rows(found: Counter[str], kinds: Mapping[str, str], published: Mapping[str, Published]) -> tuple[CountRow, ...]:
-    total = found.total()
+def _rows(rows: Counter[str], kinds: Mapping[str, str], published: Mapping[str, Published]) -> tuple[CountRow, ...]:
+    total = rows.total()
     return tuple(
         CountRow(
             group=name,
             kind=kind,
-            n=found[name],
-            share=found[name] / total if total else None,
+            n=rows[name],
+            share=rows[name] / total if total else None,
             paper=published.get(name),
         )
         for name, kind in kinds.items()
@@ -120,8 +120,8 @@ def first_of_near_and_mid(rows: Iterable[AttemptRow], scene: str) -> Share:
     This share is compared with the published success rates, because 98.8 % of the paper's episodes are near or mid.
     """
     groups = {f"{scene} / {tier}" for tier in (Tier.NEAR, Tier.MID)}
-    found = [row.first for row in rows if row.group in groups]
-    return share_of(sum(share.count for share in found), sum(share.of for share in found))
+    shares = [row.first for row in rows if row.group in groups]
+    return share_of(sum(share.count for share in shares), sum(share.of for share in shares))
 
 
 def cell_rows(

@@ -56,12 +56,12 @@ def self_bleu(sentences: Sequence[Sequence[str]]) -> float | None:
     """Returns the mean BLEU-4 of each sentence with all others as references; `None` for fewer than two sentences."""
     if len(sentences) < 2:
         return None
-    found = [[_grams(words, order) for words in sentences] for order in range(1, _ORDERS + 1)]
-    limits = [_two_largest(each) for each in found]
+    grams = [[_grams(words, order) for words in sentences] for order in range(1, _ORDERS + 1)]
+    limits = [_two_largest(each) for each in grams]
     lengths = Counter(map(len, sentences))
     scores = []
     for number, words in enumerate(sentences):
-        parts = [_precision(found[order][number], limits[order]) for order in range(_ORDERS) if len(words) > order]
+        parts = [_precision(grams[order][number], limits[order]) for order in range(_ORDERS) if len(words) > order]
         mean = math.exp(sum(map(math.log, parts)) / len(parts)) if parts else 0.0
         scores.append(_brevity(len(words), lengths) * mean)
     return mean_of(scores)
@@ -73,12 +73,12 @@ def _grams(words: Sequence[str], order: int) -> NGrams:
 
 def _two_largest(sentences: Sequence[NGrams]) -> dict[tuple[str, ...], tuple[int, int]]:
     """Counts each n-gram in every sentence; returns its two largest counts, the largest first."""
-    found: dict[tuple[str, ...], tuple[int, int]] = {}
+    largest: dict[tuple[str, ...], tuple[int, int]] = {}
     for grams in sentences:
         for gram, count in grams.items():
-            first, second = found.get(gram, (0, 0))
-            found[gram] = (count, first) if count > first else (first, max(second, count))
-    return found
+            first, second = largest.get(gram, (0, 0))
+            largest[gram] = (count, first) if count > first else (first, max(second, count))
+    return largest
 
 
 def _precision(grams: NGrams, limits: dict[tuple[str, ...], tuple[int, int]]) -> float:
@@ -140,7 +140,7 @@ def summarise_language(
         views: Episodes whose frames were read.
         remarks: Remarks about omitted data.
     """
-    said = Counter(view.language for view in views)
+    languages = Counter(view.language for view in views)
     wrong, views = [view for view in views if not view.fitting], [view for view in views if view.fitting]
     texts = [(view.language, view.row.instruction) for view in (*views, *wrong)]
     names = list(dict.fromkeys([*scenes, *(view.row.scene for view in views)]))
@@ -163,7 +163,7 @@ def summarise_language(
             for name in (*categories, ALL)
         ),
         wording=tuple(
-            wording_row(code, [text for other, text in texts if other == code]) for code, _ in said.most_common()
+            wording_row(code, [text for other, text in texts if other == code]) for code, _ in languages.most_common()
         ),
         unique=_share(views, lambda view: len(view.fitting) == 1),
         others_in_scene=mean_of([len(view.of_category) - 1 for view in views]),

@@ -68,17 +68,17 @@ def read_rows(root: Place) -> Rows:
 
 
 def _parse(rows: Rows, file: str, values_of_rows: Iterable[dict[str, Any]], model: type[Row]) -> list[Row]:
-    found: list[Row] = []
+    parsed: list[Row] = []
     wrong: list[str] = []
     number = 0
     for number, values in enumerate(values_of_rows, 1):
         try:
-            found.append(model.model_validate(values))
+            parsed.append(model.model_validate(values))
         except ValidationError as error:
             wrong.append(_describe_invalid_row(number, values, error))
     if wrong:
         rows.add_damage(file, f"{len(wrong)} of {number} rows skipped: {_some(wrong)}")
-    return found
+    return parsed
 
 
 def _values(table: pa.Table) -> Iterator[dict[str, Any]]:
@@ -100,11 +100,11 @@ def _without_duplicates(rows: Rows, episodes: list[EpisodeSummary]) -> list[Epis
 
 
 def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
-    found = list_episodes(root).episodes
-    if rows.episodes and not found and not (root / EPISODES).is_dir():
+    summaries = list_episodes(root).episodes
+    if rows.episodes and not summaries and not (root / EPISODES).is_dir():
         rows.add_remark(EPISODES, "does not exist; the statistics use the tables only")
         return rows.episodes
-    sizes = {row.episode_id: _size_of(found.get(row.index)) for row in rows.episodes}
+    sizes = {row.episode_id: _size_of(summaries.get(row.index)) for row in rows.episodes}
     missing = [name for name, size in sizes.items() if size is None]
     cut = [
         f"{row.episode_id} ({sizes[row.episode_id]} bytes instead of {row.file_bytes})"
@@ -155,12 +155,12 @@ def _compare_with_meta(rows: Rows, table_rows: int) -> None:
 def _compare_with_plan(rows: Rows) -> None:
     """Adds a remark about cells above their quota and, if the run is complete, also about cells below it."""
     plan = rows.meta.plan
-    found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
+    counts = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
     wanted = {(scene.name, *cell): count for scene in plan.parts for cell, count in cells(plan, scene).items()}
     wrong = [
-        f"{' / '.join(key)} has {found[key]} of {wanted.get(key, 0)} episodes"
-        for key in sorted(found.keys() | wanted.keys())
-        if found[key] > wanted.get(key, 0) or (rows.meta.complete and found[key] < wanted.get(key, 0))
+        f"{' / '.join(key)} has {counts[key]} of {wanted.get(key, 0)} episodes"
+        for key in sorted(counts.keys() | wanted.keys())
+        if counts[key] > wanted.get(key, 0) or (rows.meta.complete and counts[key] < wanted.get(key, 0))
     ]
     if wrong:
         rows.add_damage(METADATA_FILE, f"{len(wrong)} cells differ from the plan: {_some(wrong)}")

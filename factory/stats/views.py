@@ -53,7 +53,9 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
                 views += [view] if view else []
         on_progress(done, len(chosen))
     scenes = [scene.name for scene in rows.meta.plan.scenes]
-    return summarise_language(str(root), rows.meta.run, scenes, len(rows.episodes), views, rows.remarks)
+    return summarise_language(
+        str(root), rows.meta.run, scenes=scenes, episodes=len(rows.episodes), views=views, remarks=rows.remarks
+    )
 
 
 def read_fits(root: Place) -> dict[str, int]:
@@ -87,7 +89,9 @@ def read_view(
         target=target,
         of_category=referents(info, meta.job.category),
         fitting=_fitting(meta, info, fits.get(episode.episode_id)),
-        seen=see_objects(episode.ids(0), episode.depth(0), objects, meta.job.camera, min_pixels),
+        seen=see_objects(
+            episode.ids(0), episode.depth(0), objects=objects, camera=meta.job.camera, min_pixels=min_pixels
+        ),
         is_in_view_at_end=target_in_view(episode.ids(-1), target, min_pixels),
         choices=frozenset(meta.choices),
     )
@@ -108,12 +112,12 @@ def _fitting(meta: EpisodeMeta, info: SceneInfo, fits: int | None) -> frozenset[
 
 
 def _read_infos(root: Place, rows: Rows, opened: Set[str]) -> dict[str, SceneInfo]:
-    found = {}
+    infos = {}
     for name, sha256 in rows.meta.scenes.items():
         if name not in opened:
             continue
         try:
-            found[sha256] = read_info(find_package_file(root, name, sha256))
+            infos[sha256] = read_info(find_package_file(root, name, sha256))
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
             rows.add_damage(SCENES, f"the episodes of {name} are skipped: {format_error(error, root)}")
-    return found
+    return infos

@@ -45,7 +45,7 @@ def run_tasks(
     theirs, ours = fresh.Pipe(duplex=False)
     pool = ProcessPoolExecutor(workers, mp_context=fresh, initializer=_begin, initargs=(theirs,))
     try:
-        yield from _feed(pool, function, iter(tasks), workers * _AHEAD, stop)
+        yield from _feed(pool, function, tasks=iter(tasks), ahead=workers * _AHEAD, stop=stop)
     except BrokenProcessPool as error:
         died = "a process died (it was killed, or is out of memory); finished work is kept"
         raise WorldError(f"{died}: run the same command again, with fewer --workers if memory is short") from error

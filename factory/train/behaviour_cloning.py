@@ -120,9 +120,9 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
     Raises:
         UsageError: The training in the folder has other options.
     """
-    found = read_checkpoint(order.out / STATE) if (order.out / STATE).exists() else None
-    if found is not None:
-        then, now = found.meta.options.model_dump(), order.options.model_dump()
+    checkpoint = read_checkpoint(order.out / STATE) if (order.out / STATE).exists() else None
+    if checkpoint is not None:
+        then, now = checkpoint.meta.options.model_dump(), order.options.model_dump()
         different = [f"{name} {then[name]}, now {now[name]}" for name in now if then[name] != now[name]]
         if different:
             raise UsageError(
@@ -131,11 +131,11 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
             )
     with translated("write", order.out):
         order.out.mkdir(parents=True, exist_ok=True)
-    return found
+    return checkpoint
 
 
-def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> None:
-    then = found.meta
+def _require_same_data(checkpoint: Checkpoint, meta: CheckpointMeta, out: Path) -> None:
+    then = checkpoint.meta
     if (then.train_digest, then.words, then.appearance) != (meta.train_digest, meta.words, meta.appearance):
         raise UsageError(
             f"{out} contains a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): "
@@ -154,10 +154,10 @@ def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrame
         raise UsageError(f"--antialias {options.antialias}: {order.dataset.root} stores frames, which are not rendered")
     part = order.dataset.filter(split=order.split)
     if not len(part):
-        found = ", ".join(sorted(set(order.dataset.column("split").to_pylist()))) or "none"
+        splits = ", ".join(sorted(set(order.dataset.column("split").to_pylist()))) or "none"
         raise UsageError(
             f"{order.dataset.root} has no episodes in split {order.split} for this scene and tier; "
-            f"splits with episodes: {found}"
+            f"splits with episodes: {splits}"
         )
 
     def tell(done: int, of: int) -> None:
@@ -167,8 +167,15 @@ def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrame
 
     def frames_of(dataset: Dataset) -> TrainingFrames:
         if order.dataset.meta.plan.record is Recording.FRAMES:
-            return open_cache(dataset, options.size, options.hold, cache_directory() / "train", tell)
-        return render_frames(dataset, options.size, options.hold, options.antialias, order.memory_bytes, tell)
+            return open_cache(dataset, options.size, hold=options.hold, root=cache_directory() / "train", tell=tell)
+        return render_frames(
+            dataset,
+            options.size,
+            hold=options.hold,
+            antialias=options.antialias,
+            memory_bytes=order.memory_bytes,
+            tell=tell,
+        )
 
     val = (
         order.dataset.filter(split=Split.VAL_ID) if order.split is not Split.VAL_ID else order.dataset.filter(split=())
@@ -194,10 +201,10 @@ def _meta(order: TrainOrder, train: TrainingFrames) -> CheckpointMeta:
     )
 
 
-def _restore(order: TrainOrder, training: BcTraining, found: Checkpoint) -> list[EpochMeasures]:
+def _restore(order: TrainOrder, training: BcTraining, checkpoint: Checkpoint) -> list[EpochMeasures]:
     """Restores the state of the folder and returns the measures of its finished epochs."""
     try:
-        training.restore(found.tensors)
+        training.restore(checkpoint.tensors)
         report = TrainReport.model_validate_json((order.out / _METRICS).read_bytes())
     except (KeyError, ValueError, RuntimeError, OSError, ValidationError) as error:
         first = (str(error).splitlines() or ["no reason given"])[0]

@@ -48,10 +48,10 @@ def parse_meta(text: object, path: Path) -> CheckpointMeta:
         what = f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
         raise UsageError(f"{path} is not a checkpoint that this version reads ({what})") from error
     if meta.format > CHECKPOINT_FORMAT or meta.look != PREPROCESS_VERSION:
-        found = f"format {meta.format}, preprocessing {meta.look}"
+        recorded = f"format {meta.format}, preprocessing {meta.look}"
         mine = f"format {CHECKPOINT_FORMAT}, preprocessing {PREPROCESS_VERSION}"
         raise UsageError(
-            f"{path} was written by another version ({found}; this version reads {mine}): train the policy again"
+            f"{path} was written by another version ({recorded}; this version reads {mine}): train the policy again"
         )
     return meta
 

@@ -99,7 +99,7 @@ class BcTraining:
         start_s = time.monotonic()
         rng = np.random.default_rng((self._options.seed, self.epochs_done))
         order = np.concatenate(shuffle_by_scene(train.scene, rng))
-        said = self._sentences(train)
+        sentences = self._sentences(train)
         batches = max(1, len(order) // self._options.batch)
         steps = batches * self._options.epochs
         losses = 0.0
@@ -107,7 +107,7 @@ class BcTraining:
         self.model.train()
         for number, rows in enumerate(np.array_split(order, batches)):
             rate = learning_rate(self._steps_done, steps, self._options.peak_rate, max(1, int(_WARMUP_SHARE * steps)))
-            batch = augment(_read(train, np.sort(rows), said), rng, self._mirrored_words)
+            batch = augment(_read(train, np.sort(rows), sentences), rng, self._mirrored_words)
             losses += self._step(batch, rate)
             tell(number + 1, batches, losses / (number + 1))
         self.epochs_done += 1
@@ -155,10 +155,10 @@ class BcTraining:
     @torch.no_grad()  # type: ignore[untyped-decorator]
     def _measure(self, val: TrainingFrames) -> dict[str, float | None]:
         self.mean.eval()
-        said = self._sentences(val)
+        sentences = self._sentences(val)
         losses, drives, stops, pointed = [], [], [], []
         for rows in _blocks(len(val), self._options.batch):
-            batch = _read(val, rows, said)
+            batch = _read(val, rows, sentences)
             answer = self.mean(self._tensor(batch.pictures), self._tensor(batch.words))
             losses.append(self._imitation(answer, batch).cpu().numpy())
             action, stop = self._decide(answer)
@@ -167,7 +167,7 @@ class BcTraining:
             pointed.append(_pointing(answer.mask.cpu().numpy(), batch.mask))
         said_stop, is_stop = np.concatenate(stops, axis=1)
         hits = int((said_stop & is_stop).sum())
-        found = np.concatenate(pointed)
+        is_hit = np.concatenate(pointed)
         v, w = np.concatenate(drives).mean(axis=0) if any(map(len, drives)) else (None, None)
         return {
             "val_loss": float(np.concatenate(losses).mean()),
@@ -175,7 +175,7 @@ class BcTraining:
             "val_w_rps": None if w is None else float(w),
             "stop_precision": hits / int(said_stop.sum()) if said_stop.any() else None,
             "stop_recall": hits / int(is_stop.sum()) if is_stop.any() else None,
-            "pointing": float(found.mean()) if len(found) else None,
+            "pointing": float(is_hit.mean()) if len(is_hit) else None,
         }
 
     def _decide(self, answer: NetworkOutput) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -197,11 +197,17 @@ class BcTraining:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self._device)
 
 
-def _read(frames: TrainingFrames, rows: NDArray[np.int64], said: NDArray[np.int64]) -> Batch:
-    found = frames.pictures.take(rows)
-    mask = found.mask.astype(np.float32) / np.float32(255)
-    pictures = preprocess.to_input(found.rgb, found.depth)
-    return Batch(pictures, mask, frames.actions[rows], frames.is_stop[rows], said[frames.episode[rows]])
+def _read(frames: TrainingFrames, rows: NDArray[np.int64], sentences: NDArray[np.int64]) -> Batch:
+    taken = frames.pictures.take(rows)
+    mask = taken.mask.astype(np.float32) / np.float32(255)
+    pictures = preprocess.to_input(taken.rgb, taken.depth)
+    return Batch(
+        pictures,
+        mask,
+        actions=frames.actions[rows],
+        is_stop=frames.is_stop[rows],
+        words=sentences[frames.episode[rows]],
+    )
 
 
 def _blocks(rows: int, size: int) -> Iterator[NDArray[np.int64]]:

@@ -195,7 +195,9 @@ class LabelledSteps:
 
     def with_pictures(self, dataset: Dataset, pictures: PictureSource) -> TrainingFrames:
         scene = scene_numbers(dataset)[self.episode]
-        return TrainingFrames(self.index, self.actions, self.is_stop, self.episode, scene, pictures)
+        return TrainingFrames(
+            self.index, self.actions, is_stop=self.is_stop, episode=self.episode, scene=scene, pictures=pictures
+        )
 
 
 def label_steps(dataset: Dataset, size: int, hold: int, tell: ProgressCallback) -> LabelledSteps:
@@ -239,7 +241,7 @@ def label_steps(dataset: Dataset, size: int, hold: int, tell: ProgressCallback) 
     )
     actions, is_stop = (np.concatenate(parts) for parts in zip(*labels, strict=True))
     owner = np.repeat(np.arange(len(steps), dtype=np.int32), list(map(len, steps)))
-    return LabelledSteps(index, np.concatenate(steps), actions, is_stop, owner)
+    return LabelledSteps(index, np.concatenate(steps), actions=actions, is_stop=is_stop, episode=owner)
 
 
 def require_episodes(dataset: Dataset) -> None:

@@ -93,16 +93,16 @@ def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: ProgressCallback)
 
 
 def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: ProgressCallback) -> None:
-    found = label_steps(dataset, key.size, key.hold, lambda _done, _of: None)
-    pictures = _create(part, len(found.step), key.size)
-    for number, (episode, rows) in enumerate(zip(dataset, found.index.episodes, strict=True)):
+    labels = label_steps(dataset, key.size, key.hold, lambda _done, _of: None)
+    pictures = _create(part, len(labels.step), key.size)
+    for number, (episode, rows) in enumerate(zip(dataset, labels.index.episodes, strict=True)):
         with episode:
             for row in range(rows.first, rows.first + rows.frames):
-                pictures.put(row, episode.frame(int(found.step[row])), episode.meta.target_instance_id)
+                pictures.put(row, episode.frame(int(labels.step[row])), episode.meta.target_instance_id)
         tell(number + 1, len(dataset))
     for array in pictures:
         array.flush()  # type: ignore[union-attr]
-    _write_labels(part, found)
+    _write_labels(part, labels)
 
 
 def _create(part: Path, rows: int, size: int) -> Pictures:
@@ -114,9 +114,9 @@ def _create(part: Path, rows: int, size: int) -> Pictures:
     return Pictures(rgb, depth, create(part / "mask.npy", mode="w+", dtype=np.uint8, shape=(rows, side, side)))
 
 
-def _write_labels(part: Path, found: LabelledSteps) -> None:
-    np.savez(part / "labels.npz", actions=found.actions, is_stop=found.is_stop, episode=found.episode)
-    (part / _INDEX).write_text(found.index.model_dump_json(), encoding="utf-8")
+def _write_labels(part: Path, labels: LabelledSteps) -> None:
+    np.savez(part / "labels.npz", actions=labels.actions, is_stop=labels.is_stop, episode=labels.episode)
+    (part / _INDEX).write_text(labels.index.model_dump_json(), encoding="utf-8")
 
 
 def _read_index(folder: Path) -> FramesIndex | None:
@@ -135,7 +135,14 @@ def _open(folder: Path, index: FramesIndex, dataset: Dataset) -> TrainingFrames:
             actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder; it is created again") from error
-    return TrainingFrames(index, actions, is_stop, episode, scene_numbers(dataset)[episode], Pictures(rgb, depth, mask))
+    return TrainingFrames(
+        index,
+        actions,
+        is_stop=is_stop,
+        episode=episode,
+        scene=scene_numbers(dataset)[episode],
+        pictures=Pictures(rgb, depth, mask),
+    )
 
 
 def render_frames(
@@ -158,7 +165,9 @@ def render_frames(
     """
     steps = label_steps(dataset, size, hold, tell)
     samples = antialias or FRAME_SIZE_PX // size
-    return steps.with_pictures(dataset, RenderedPictures(dataset, steps, size, samples, memory_bytes))
+    return steps.with_pictures(
+        dataset, RenderedPictures(dataset, steps, size=size, antialias=samples, memory_bytes=memory_bytes)
+    )
 
 
 class RenderedPictures:

@@ -111,7 +111,7 @@ def augment(batch: Batch, rng: np.random.Generator, mirrored_words: NDArray[np.i
     gain = rng.uniform(1 - _CONTRAST, 1 + _CONTRAST, shape)
     lift = rng.uniform(-_BRIGHTNESS, _BRIGHTNESS, shape) + rng.uniform(-_TINT, _TINT, (len(mask), 3, 1, 1))
     pictures[:, :3] = np.clip(pictures[:, :3] * gain + lift, -1, 1)
-    return Batch(pictures, mask, actions, batch.is_stop, words)
+    return Batch(pictures, mask, actions=actions, is_stop=batch.is_stop, words=words)
 
 
 def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:

@@ -47,21 +47,21 @@ def summary_writer(folder: str, purge_step: int) -> Any:
     return module.SummaryWriter(folder, purge_step=purge_step)
 
 
-def choose_device(asked: str) -> Any:
+def choose_device(name: str) -> Any:
     """Returns the torch device of that name; `auto` selects a GPU if available.
 
     Raises:
         UsageError: The device is not available.
     """
     torch = load_torch()
-    if asked == "auto":
+    if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
-        device = torch.device(asked)
+        device = torch.device(name)
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
         first = (str(error).splitlines() or ["unknown"])[0]
-        raise UsageError(f"--device {asked} is not available ({first}); use auto or cpu") from error
+        raise UsageError(f"--device {name} is not available ({first}); use auto or cpu") from error
     return device
 
 

@@ -80,10 +80,10 @@ def encode(instruction: str, words: Sequence[str], ablate: bool = False) -> NDAr
         (MAX_WORDS,) indices, padded with `PAD`; the first index is never `PAD`, so the LSTM has an input.
     """
     if ablate:
-        found = [ANY]
+        indices = [ANY]
     else:
         number = {word: place for place, word in enumerate(words)}
-        found = [number.get(word, UNKNOWN) for word in split_words(instruction)[:MAX_WORDS]] or [UNKNOWN]
+        indices = [number.get(word, UNKNOWN) for word in split_words(instruction)[:MAX_WORDS]] or [UNKNOWN]
     out = np.full(MAX_WORDS, PAD, np.int64)
-    out[: len(found)] = found
+    out[: len(indices)] = indices
     return out

@@ -191,7 +191,13 @@ def verify(
     language = meta.plan.language
     is_drawn = language is not None and language.exchangeable
     checks = _plan_checks(
-        rows, _check_scenes(root, meta, report), report, drawn, frames_of, meta.relabelling is not None, is_drawn
+        rows,
+        _check_scenes(root, meta, report),
+        report=report,
+        drawn=drawn,
+        frames_of=frames_of,
+        relabelled=meta.relabelling is not None,
+        is_drawn=is_drawn,
     )
     for done, result in enumerate(run_checks(checks, processes), 1):
         report.findings += result.findings
@@ -231,12 +237,12 @@ def _reference_episodes(root: Place | None, dataset: Dataset, names: Iterable[st
     reference = Dataset(root)
     if reference.meta.plan.record is not Recording.FRAMES:
         raise UsageError(f"--reference {root} stores no frames; `factory render` makes a dataset that stores them")
-    found: dict[str, Episode] = {}
+    reference_episodes: dict[str, Episode] = {}
     for name in names:
         with suppress(KeyError, ArchiveCorrupt):  # the reference lacks the episode, or a row is damaged
             if len(reference[name]) == len(dataset[name]):
-                found[name] = reference[name]
-    return found
+                reference_episodes[name] = reference[name]
+    return reference_episodes
 
 
 def _plan_checks(
@@ -254,7 +260,16 @@ def _plan_checks(
         name = row.episode_id
         package = scenes[row.scene].path if candidates else None
         frames = frames_of.get(name)
-        yield EpisodeCheck(report.root, row, candidates, report.deep, name in drawn, frames, package, relabelled)
+        yield EpisodeCheck(
+            report.root,
+            row,
+            candidates=candidates,
+            deep=report.deep,
+            render=name in drawn,
+            reference=frames,
+            package=package,
+            relabelled=relabelled,
+        )
 
 
 def _check_listing(root: Place, names: Collection[str], report: VerifyReport) -> None:
@@ -328,7 +343,7 @@ def _check_split_tables(dataset: Dataset, report: VerifyReport) -> None:
 
 
 def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[str, SceneEntry]:
-    found: dict[str, SceneEntry] = {}
+    check_scenes: dict[str, SceneEntry] = {}
     expected = {f"{name}-{sha256[:16]}.scene.zip": (name, sha256) for name, sha256 in meta.scenes.items()}
     for_people = {list_file_name(name) for name in meta.scenes}
     for entry in children(root / SCENES):
@@ -344,11 +359,11 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
             report.add(Kind.DAMAGED, f"{SCENES}/{file}", str(error))
         else:
             if scene.sha256 == sha256:
-                found[name] = scene
+                check_scenes[name] = scene
             else:
                 report.add(Kind.CHANGED, f"{SCENES}/{file}", f"SHA-256 {scene.sha256}, recorded {sha256}")
-    _check_textures(root, found.values(), report, are_all=len(found) == len(expected))
-    return found
+    _check_textures(root, check_scenes.values(), report, are_all=len(check_scenes) == len(expected))
+    return check_scenes
 
 
 def _check_textures(root: Place, scenes: Iterable[SceneEntry], report: VerifyReport, *, are_all: bool) -> None:
@@ -368,14 +383,14 @@ def _check_textures(root: Place, scenes: Iterable[SceneEntry], report: VerifyRep
 
 def _check_quotas(meta: DatasetMeta, rows: RowCheck, report: VerifyReport) -> None:
     """Compares the number of episodes in every cell with the plan; an incomplete dataset may have fewer."""
-    found = rows.cells
+    recorded = rows.cells
     wanted = {
         (scene.name, split, tier): count
         for scene in meta.plan.parts
         for (split, tier), count in cells(meta.plan, scene).items()
     }
-    for key in sorted(found.keys() | wanted.keys()):
-        have, want = found.get(key, 0), wanted.get(key, 0)
+    for key in sorted(recorded.keys() | wanted.keys()):
+        have, want = recorded.get(key, 0), wanted.get(key, 0)
         if have > want or (meta.complete and have < want):
             report.add(Kind.CONTRADICTION, METADATA_FILE, f"{'/'.join(key)}: {have} episodes, the plan has {want}")
     runs = sorted(rows.plans - {meta.plan_digest})

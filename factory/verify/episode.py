@@ -66,36 +66,36 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
         WorldError: frames are to be rendered, and this machine cannot.
     """
     row, difference = check.row, RenderDifference()
-    found: list[Finding] = []
+    findings: list[Finding] = []
     try:
         with opened(episode_place(check.root, row.index)) as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.seek(0, os.SEEK_END)
             if size != row.file_bytes:
-                found.append(Finding(Kind.TRUNCATED, row.file_name, f"{size} bytes, recorded {row.file_bytes}"))
+                findings.append(Finding(Kind.TRUNCATED, row.file_name, f"{size} bytes, recorded {row.file_bytes}"))
             elif sha256 != row.file_sha256:
-                found.append(Finding(Kind.CHANGED, row.file_name, f"SHA-256 {sha256}, recorded {row.file_sha256}"))
+                findings.append(Finding(Kind.CHANGED, row.file_name, f"SHA-256 {sha256}, recorded {row.file_sha256}"))
             if check.deep:
                 with BundleReader(file) as bundle:
                     violations = validate(bundle, candidates=_candidates(check, bundle.meta.job))
                     violations += [] if violations else said_findings(bundle, check.package)
                     differences = _differences(row, summary_of(bundle.meta, sha256, size), check.relabelled)
-                found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
-                found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
+                findings += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
+                findings += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
             if check.render:
                 with EpisodeBundle(file, check.root) as episode:
                     candidates = _candidates(check, episode.meta.job)
                     texts = compare_rendered(episode, difference, check.reference, candidates)
-                found += [Finding(Kind.RENDERED, row.file_name, text) for text in texts]
+                findings += [Finding(Kind.RENDERED, row.file_name, text) for text in texts]
     except FileNotFoundError:
-        found.append(Finding(Kind.MISSING, row.file_name, "is missing"))
+        findings.append(Finding(Kind.MISSING, row.file_name, "is missing"))
     except InvalidBundle as error:
-        found += [Finding(Kind.INVALID, row.file_name, text) for text in error.findings]
+        findings += [Finding(Kind.INVALID, row.file_name, text) for text in error.findings]
     except ArchiveCorrupt as error:
-        found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be rendered: {error}"))
+        findings.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be rendered: {error}"))
     except OSError as error:
-        found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
-    return EpisodeFindings(found, difference)
+        findings.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
+    return EpisodeFindings(findings, difference)
 
 
 def _candidates(check: EpisodeCheck, job: Job) -> tuple[Target, ...]:
@@ -129,10 +129,10 @@ def targets_of(
     return (target, *(others if is_drawn else ())), []
 
 
-def _differences(row: EpisodeSummary, found: EpisodeSummary, relabelled: bool) -> list[str]:
+def _differences(row: EpisodeSummary, differences: EpisodeSummary, relabelled: bool) -> list[str]:
     ignored = _OF_THE_FILE | _RELABELLED if relabelled else _OF_THE_FILE
     return [
-        f"{name}: {METADATA_FILE} has {getattr(row, name)}, the episode has {getattr(found, name)}"
+        f"{name}: {METADATA_FILE} has {getattr(row, name)}, the episode has {getattr(differences, name)}"
         for name in EpisodeSummary.model_fields
-        if name not in ignored and getattr(row, name) != getattr(found, name)
+        if name not in ignored and getattr(row, name) != getattr(differences, name)
     ]

@@ -155,13 +155,13 @@ def compare_rendered(
     shared_renderer().omit_warnings()
     job, digests = bundle.meta.job, bundle.meta.frame_digests
     steps = range(bundle.length) if job.record is Recording.FRAMES else job.sampled_steps(bundle.length)
-    found: list[str] = []
+    lines: list[str] = []
     differing: list[int] = []
     target_pixels: dict[int, int] = {}
     for t, recorded in zip(steps, digests, strict=False):  # the validator reports a wrong number of digests
         frame = bundle.render(t)
         if t == 0 and not bundle.has_frames:  # the validator has checked the start view of stored frames
-            found += start_findings(bundle.meta, bundle.arrays, frame.ids, frame.depth, candidates)
+            lines += start_findings(bundle.meta, bundle.arrays, ids=frame.ids, depth=frame.depth, candidates=candidates)
         target_pixels[t] = int(np.count_nonzero(frame.ids == bundle.meta.target_instance_id))
         if frame_digest(frame.rgb, frame.depth, frame.ids) == recorded:
             difference.add_equal(frame.depth.size, bundle.has_frames or reference is not None)
@@ -169,16 +169,16 @@ def compare_rendered(
         differing.append(t)
         stored = _stored_frame(bundle, reference, t)
         if stored is not None and reference is not None and frame_digest(*stored) != recorded:
-            found.append(f"frame {t} of the reference {reference.path} is not the recorded one")
+            lines.append(f"frame {t} of the reference {reference.path} is not the recorded one")
             stored = None
         difference.add_differing(stored, frame)
-    found += visibility_findings(bundle.meta, target_pixels)
+    lines += visibility_findings(bundle.meta, target_pixels)
     if not bundle.has_frames and bundle.length - 1 in target_pixels:
-        found += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
+        lines += arrival_findings(bundle.meta, target_pixels[bundle.length - 1])
     difference.recorded_with.add(bundle.meta.provenance.fingerprint.renderer)
     difference.rendered_with.add(shared_renderer().description)
-    found += _sensor_findings(bundle)
-    return [*found, _digest_finding(bundle, differing)] if differing else found
+    lines += _sensor_findings(bundle)
+    return [*lines, _digest_finding(bundle, differing)] if differing else lines
 
 
 def _sensor_findings(bundle: EpisodeBundle) -> list[str]:
@@ -189,19 +189,19 @@ def _sensor_findings(bundle: EpisodeBundle) -> list[str]:
     """
     rig = bundle.meta.job.view.rig if bundle.has_sensors else None
     sampled = bundle.meta.job.sampled_steps(bundle.length)
-    found = []
+    findings = []
     for sensor in rig.sensors if rig else ():
         if isinstance(sensor, Imu | WheelOdometry):
             again = arrays_in(measure(sensor, trajectory_of(bundle)))
             if not _are_equal(bundle.measurement(sensor, None), again):
-                found.append(f"sensor {sensor.name} differs when it is measured again")
+                findings.append(f"sensor {sensor.name} differs when it is measured again")
             continue
         stride = sensor.stride(bundle.control_hz)
         for t in sorted({step // stride * stride for step in sampled}):
             again = arrays_in(observe(sensor, t, trajectory_of(bundle), bundle))
             if not _are_equal(bundle.measurement(sensor, t), again):
-                found.append(f"sensor {sensor.name} differs at step {t} when it is measured again")
-    return found
+                findings.append(f"sensor {sensor.name} differs at step {t} when it is measured again")
+    return findings
 
 
 def _are_equal(stored: Mapping[str, NDArray[Any]], again: Mapping[str, NDArray[Any]]) -> bool:

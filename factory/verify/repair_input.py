@@ -67,7 +67,14 @@ def inspect_dataset(
         )
     catalog, troubles = _catalog(record, root, cache, tell)
     return RepairInput(
-        root, state_dir, ledger, record.plan, catalog, troubles, shard_of(Site(root, state_dir), url), foreign_ledger
+        root,
+        state_dir,
+        url=ledger,
+        plan=record.plan,
+        catalog=catalog,
+        scenes=troubles,
+        shard=shard_of(Site(root, state_dir), url),
+        foreign_ledger=foreign_ledger,
     )
 
 
@@ -115,11 +122,11 @@ def _catalog(record: _Record, root: Place, cache: Path, tell: MessageCallback) -
     kept: dict[str, SceneEntry] = {}
     troubles: dict[str, str] = {}
     for name, sha256 in record.scenes.items():
-        found = _kept(root / SCENES / f"{name}-{sha256[:16]}.scene.zip", sha256)
-        if isinstance(found, str):
-            troubles[name] = found
+        package = _kept(root / SCENES / f"{name}-{sha256[:16]}.scene.zip", sha256)
+        if isinstance(package, str):
+            troubles[name] = package
         else:
-            kept[name] = found
+            kept[name] = package
     troubles |= _lacking_textures(root, kept)
     if troubles:
         kept |= _built_again(record, troubles, cache, tell)
@@ -154,9 +161,9 @@ def _lacking_textures(root: Place, kept: Mapping[str, SceneEntry]) -> dict[str, 
             faults[sha256] = f"texture {place.name} is missing"
     troubles: dict[str, str] = {}
     for name, entry in kept.items():
-        own = [faults.pop(sha256) for sha256 in entry.textures if sha256 in faults]
-        if own:
-            troubles[name] = "; ".join(own)
+        texture_faults = [faults.pop(sha256) for sha256 in entry.textures if sha256 in faults]
+        if texture_faults:
+            troubles[name] = "; ".join(texture_faults)
     return troubles
 
 

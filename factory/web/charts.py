@@ -70,7 +70,7 @@ def draw_columns(title: str, columns: Sequence[Mapping[str, int]], first: str, l
             )
     return (
         f'<svg class="chart" viewBox="0 0 {WIDE} {HEIGHT}" role="img" aria-label="{escape(title)}, at most {most}">'
-        f"{_axes('0', str(most), first, last, WIDE)}{''.join(bars)}</svg>"
+        f"{_axes('0', str(most), first=first, last=last, width=WIDE)}{''.join(bars)}</svg>"
     )
 
 

@@ -62,8 +62,8 @@ class WebContext:
 
 def context_of(request: Request) -> WebContext:
     """Returns the state of the application that received a request."""
-    found: WebContext = request.app.state.context
-    return found
+    context: WebContext = request.app.state.context
+    return context
 
 
 def page(request: Request, template: str, title: str, status: int = 200, **values: object) -> Response:

@@ -52,11 +52,11 @@ class EvaluationReading:
 
     def policy(self, name: str) -> PolicyRun:
         """Returns a policy by name; raises `UsageError` for another name."""
-        found = next((policy for policy in self.policies if policy.name == name), None)
-        if found is None:
+        run = next((policy for policy in self.policies if policy.name == name), None)
+        if run is None:
             valid = ", ".join(policy.name for policy in self.policies)
             raise UsageError(f"the evaluation has no policy {name[:80]!r}; valid policies: {valid}")
-        return found
+        return run
 
 
 class Evaluations:

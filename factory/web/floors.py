@@ -99,7 +99,7 @@ def _draw(package: ScenePackage) -> Floor:
     layers = (("floor", drawn.floor), ("low", drawn.low), ("wall", drawn.wall))
     paths = tuple((name, "".join(map(_path, outlines))) for name, outlines in layers)
     spawns = tuple((float(x), float(y)) for x, y in scene.spawns[:2000])
-    return Floor(scene.info, west, north, east - west, north - south, paths, spawns)
+    return Floor(scene.info, west, north=north, width=east - west, height=north - south, paths=paths, spawns=spawns)
 
 
 def _dot(reason: str, xy_m: tuple[float, float], is_exact: bool, radius: float) -> str:

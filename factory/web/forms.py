@@ -39,9 +39,9 @@ async def read_form(request: Request, *, has_key: bool = True) -> dict[str, str]
 
 
 async def _body(request: Request) -> bytes:
-    found = b""
+    body = b""
     async for part in request.stream():
-        found += part
-        if len(found) > MOST_BODY_BYTES:
+        body += part
+        if len(body) > MOST_BODY_BYTES:
             raise HTTPException(413, f"the form is larger than {MOST_BODY_BYTES} bytes")
-    return found
+    return body

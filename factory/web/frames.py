@@ -158,19 +158,19 @@ class FrameStore:
                     self.encoded(key).exception()  # waits for the image, so another encoding thread stays free
 
     def _make(self, episode: Episode, made: dict[FrameKey, Future[bytes]], turn: threading.Lock) -> None:
-        found: dict[FrameKey, bytes | Exception]
+        images: dict[FrameKey, bytes | Exception]
         try:
             if _is_stored(episode):
-                found = {key: _encode_stored(episode, key) for key in made}
+                images = {key: _encode_stored(episode, key) for key in made}
             else:
                 first = next(iter(made))
                 with turn:
                     frame = episode.frame(first.t, SMALL_PX if first.is_small else FRAME_SIZE_PX)
-                found = {key: _encode(np.asarray(getattr(frame, key.kind)), key, episode) for key in made}
+                images = {key: _encode(np.asarray(getattr(frame, key.kind)), key, episode) for key in made}
         except Exception as error:  # noqa: BLE001 - raised by the futures
-            found = dict.fromkeys(made, error)
+            images = dict.fromkeys(made, error)
         for key, future in made.items():
-            self._finish(key, future, found[key])
+            self._finish(key, future, images[key])
 
     def _finish(self, key: FrameKey, future: Future[bytes], made: bytes | Exception) -> None:
         with self._lock:

@@ -115,7 +115,9 @@ def parse_query(given: Mapping[str, str]) -> TableQuery:
     if len(text) > _MOST_TEXT:
         raise UsageError(f"q has {len(text)} characters, at most {_MOST_TEXT} are allowed")
     filters = {name: given[name] for name in FILTERS if given.get(name)}
-    return TableQuery(filters, text, sort, given.get("order") == "desc", page, bool(given.get("flagged")))
+    return TableQuery(
+        filters, text, sort=sort, descending=given.get("order") == "desc", page=page, flagged=bool(given.get("flagged"))
+    )
 
 
 def page_number(given: Mapping[str, str]) -> int:
@@ -173,11 +175,11 @@ class EpisodeTable:
             flagged: ids of the flagged episodes.
         """
         key = (tuple(sorted(query.filters.items())), query.text, query.sort, query.descending)
-        found = self._kept(key, lambda: self._sorted(query))
+        sorted_rows = self._kept(key, lambda: self._sorted(query))
         if not query.flagged:
-            return found
+            return sorted_rows
         wanted = pc.is_in(self.dataset.column("episode_id").cast(pa.string()), pa.array(list(flagged), pa.string()))
-        return found[_as_mask(wanted)[found]]
+        return sorted_rows[_as_mask(wanted)[sorted_rows]]
 
     def rows(self, positions: Indices) -> list[dict[str, Any]]:
         """Returns the values of the columns that the table shows, for some rows."""
@@ -223,12 +225,12 @@ class EpisodeTable:
             if key in self._found:
                 self._found.move_to_end(key)
                 return self._found[key]
-        found: Indices = compute()
+        result: Indices = compute()
         with self._lock:
-            self._found[key] = found
+            self._found[key] = result
             while len(self._found) > _KEPT:
                 self._found.popitem(last=False)
-        return found
+        return result
 
 
 def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:
@@ -236,12 +238,12 @@ def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:
     if not pa.types.is_dictionary(column.type):
         return _as_mask(match(column.cast(pa.string())))
     held = _as_mask(match(column.dictionary.cast(pa.string())))
-    found: NDArray[np.bool_] = np.append(held, False)[
+    matches: NDArray[np.bool_] = np.append(held, False)[
         column.indices.fill_null(len(held)).to_numpy(zero_copy_only=False)
     ]
-    return found
+    return matches
 
 
-def _as_mask(found: pa.Array | pa.ChunkedArray) -> NDArray[np.bool_]:
-    mask: NDArray[np.bool_] = pc.fill_null(found, False).to_numpy(zero_copy_only=False).astype(bool)
+def _as_mask(values: pa.Array | pa.ChunkedArray) -> NDArray[np.bool_]:
+    mask: NDArray[np.bool_] = pc.fill_null(values, False).to_numpy(zero_copy_only=False).astype(bool)
     return mask

@@ -68,9 +68,9 @@ class CurrentTable:
         Raises:
             FactoryError: the files are missing or damaged.
         """
-        found = self.get_within(None)
-        assert found is not None
-        return found
+        table = self.get_within(None)
+        assert table is not None
+        return table
 
     def get_within(self, seconds: float | None) -> EpisodeTable | None:
         """Returns the table like `get`; `None` if the first table is not read within `seconds`.
@@ -218,7 +218,7 @@ class Workspace:
         with read_ledger(self.site, self.ledger) as connection:
             progress = progress_in(connection, self.site, self.ledger)
             reading = read_farm(connection, now)
-            return Farm(progress, reading, now, read_info(connection), count_failures(connection))
+            return Farm(progress, reading, at=now, info=read_info(connection), failed=count_failures(connection))
 
     def failures(self, scene: str) -> list[FailedPlace]:
         """Returns the newest failed attempts of a scene; empty without a ledger."""
@@ -276,7 +276,7 @@ class Workspace:
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns, found.st_size
+    return status.st_ino, status.st_mtime_ns, status.st_size

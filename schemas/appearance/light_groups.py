@@ -86,7 +86,7 @@ def decode_light_groups(file: BinaryIO) -> LightGroups:
     if info.format != LIGHT_FORMAT:
         raise InvalidBundle("light groups refused", [f"format {info.format}, this software reads {LIGHT_FORMAT}"])
     shape = (len(info.groups) + 1, None, None)
-    shares = decode_npy_zst("shares", reader.read("shares.npy.zst"), np.uint8, shape, _MAX_BYTES)
+    shares = decode_npy_zst("shares", reader.read("shares.npy.zst"), dtype=np.uint8, shape=shape, max_bytes=_MAX_BYTES)
     if shares.size and (shares.sum(axis=0, dtype=np.uint32) != 255).any():
         raise InvalidBundle("light groups refused", ["the shares of a texel do not add up to 255"])
     return LightGroups(info, np.asarray(shares, np.uint8))

@@ -170,10 +170,10 @@ def _remedy(root: Place) -> str:
 
 def _refuse_newer(path: Place, text: str) -> None:
     try:
-        found = json.loads(text)
+        content = json.loads(text)
     except (ValueError, RecursionError):
         return
-    version = found.get("format") if isinstance(found, dict) else None
+    version = content.get("format") if isinstance(content, dict) else None
     if isinstance(version, int) and version > DATASET_FORMAT:
         message = f"{path} has dataset format {version}, this software reads up to {DATASET_FORMAT}"
         raise WorldError(f"{message}: upgrade minivla-factory")
@@ -181,8 +181,8 @@ def _refuse_newer(path: Place, text: str) -> None:
 
 def software_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
     """Returns the version of each given package that is installed."""
-    found = ((name, _version(name)) for name in packages)
-    return {name: version for name, version in found if version is not None}
+    versions = ((name, _version(name)) for name in packages)
+    return {name: version for name, version in versions if version is not None}
 
 
 @functools.cache
@@ -209,7 +209,7 @@ def git_commit(checkout: Path) -> str | None:
 
 def _packed(git: Path, name: str) -> str | None:
     for line in (git / "packed-refs").read_text(encoding="ascii").splitlines():
-        commit, _, found = line.partition(" ")
-        if found == name:
+        commit, _, packed = line.partition(" ")
+        if packed == name:
             return commit
     return None

@@ -81,10 +81,10 @@ def parse_shard(text: str) -> RunShard:
     Raises:
         UsageError: the text has a different form, or the number is out of range.
     """
-    found = _WRITTEN.fullmatch(text)
-    if found is None:
+    match = _WRITTEN.fullmatch(text)
+    if match is None:
         raise UsageError(f"{text!r} is not a valid shard; example: 7/200, which is the seventh of 200 shards")
-    number, count = map(int, found.groups())
+    number, count = map(int, match.groups())
     if not 1 <= number <= count:
         raise UsageError(f"shard {text} does not exist: the shards of a run are 1/{count} to {count}/{count}")
     return RunShard(number=number, count=count)
@@ -114,14 +114,14 @@ def find_shards(folder: Place) -> Iterator[tuple[Place, ShardState]]:
     Raises:
         ArchiveCorrupt: the file of a shard is damaged.
     """
-    own = read_shard_state(folder)
-    if own is not None:
-        yield folder, own
+    state = read_shard_state(folder)
+    if state is not None:
+        yield folder, state
         return
     for place in children(folder):
-        found = read_shard_state(place)
-        if found is not None:
-            yield place, found
+        state = read_shard_state(place)
+        if state is not None:
+            yield place, state
 
 
 def to_text(state: ShardState) -> str:

@@ -75,12 +75,12 @@ class ArraySpec:
         """
         if not (np.isfinite(least).all() and np.isfinite(most).all()):
             return [f"{self.name}: contains NaN or infinity"]
-        found = []
+        findings = []
         if self.low is not None and np.less(least, self.low).any():
-            found.append(f"{self.name}: minimum {np.min(least)} is below {self.low} {self.unit}")
+            findings.append(f"{self.name}: minimum {np.min(least)} is below {self.low} {self.unit}")
         if self.high is not None and np.greater(most, self.high).any():
-            found.append(f"{self.name}: maximum {np.max(most)} is above {self.high} {self.unit}")
-        return found
+            findings.append(f"{self.name}: maximum {np.max(most)} is above {self.high} {self.unit}")
+        return findings
 
     def _show_shape(self, length: int | None) -> str:
         return "(" + ", ".join(str(side if side is not None else length or "T") for side in self.shape) + ")"
@@ -89,16 +89,18 @@ class ArraySpec:
 RGB_FRAME = ArraySpec("rgb_front", (FRAME_SIZE_PX, FRAME_SIZE_PX, 3), np.uint8, "sRGB")
 """Colour image of the front camera, rows from top to bottom."""
 
-DEPTH_FRAME = ArraySpec("depth_front", (FRAME_SIZE_PX, FRAME_SIZE_PX), np.float32, "m", 0.0, 30.0)
+DEPTH_FRAME = ArraySpec("depth_front", (FRAME_SIZE_PX, FRAME_SIZE_PX), dtype=np.float32, unit="m", low=0.0, high=30.0)
 """Distance along the optical axis; 0 where no surface is within the clip range."""
 
 IDS_FRAME = ArraySpec("seg_front", (FRAME_SIZE_PX, FRAME_SIZE_PX), np.uint16, "instance id")
 """Instance id of the nearest surface, 0 for no surface; `meta.json` maps each id to its prim."""
 
-ACTIONS_CONTINUOUS = ArraySpec("actions_continuous", (None, 2), np.float32, "(m/s, rad/s)", (0.0, -1.5), (1.0, 1.5))
+ACTIONS_CONTINUOUS = ArraySpec(
+    "actions_continuous", (None, 2), dtype=np.float32, unit="(m/s, rad/s)", low=(0.0, -1.5), high=(1.0, 1.5)
+)
 """Commanded twist (v, w) of every step, after the slew limit."""
 
-ACTIONS_TOKENS = ArraySpec("actions_tokens", (None, 2), np.int16, "token", 0, 6)
+ACTIONS_TOKENS = ArraySpec("actions_tokens", (None, 2), dtype=np.int16, unit="token", low=0, high=6)
 """Grid point of the 7 x 7 grid that is nearest to each action."""
 
 POSES = ArraySpec("poses", (None, 7), np.float64, "(m, m, m, quaternion w x y z)", former_dtype=np.float32)

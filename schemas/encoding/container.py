@@ -213,7 +213,7 @@ def _read_directory(file: BinaryIO, limits: ContainerLimits) -> dict[str, _Membe
             raise _unreadable(size, "its directory is damaged")
         name = encoded.decode() if encoded.isascii() else _decode_name(encoded, flags, size)
         if flags & _ENCRYPTED or method != _STORED or packed != length or length > limits.member_bytes:
-            findings += _member_violations(name, flags, method, packed, length, limits)
+            findings += _member_violations(name, flags, method=method, packed=packed, length=length, limits=limits)
         if name in members:
             findings.append(f"{name!r} is listed twice")
         members[name] = offset, length, crc, encoded

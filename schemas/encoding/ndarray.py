@@ -123,12 +123,14 @@ def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[i
     stream = io.BytesIO(data)
     stream.seek(len(_MAGIC))
     try:
-        shape, fortran_order, found = npy_format.read_array_header_1_0(stream, max_header_size=_MAX_HEADER_BYTES)
+        shape, fortran_order, stored_dtype = npy_format.read_array_header_1_0(stream, max_header_size=_MAX_HEADER_BYTES)
     except PARSER_ERRORS as error:
         raise InvalidBundle("array refused", [f"{name}: unreadable .npy header ({error})"]) from error
-    if found != dtype or fortran_order:
+    if stored_dtype != dtype or fortran_order:
         order = "Fortran" if fortran_order else "C"
-        raise InvalidBundle("array refused", [f"{name}: dtype {found} in {order} order, expected {dtype} in C order"])
+        raise InvalidBundle(
+            "array refused", [f"{name}: dtype {stored_dtype} in {order} order, expected {dtype} in C order"]
+        )
     return stream.tell(), tuple(int(side) for side in shape)
 
 

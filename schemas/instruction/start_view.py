@@ -41,9 +41,9 @@ class TargetChoice(Model):
     """Random number that selects the target: of the k objects that could be the target, in the order of their ids, the
     one at the position `floor(share * k)`, counted from 0."""
 
-    def of(self, found: Sequence[Item]) -> Item:
-        """Returns the selected object; `found` contains at least one object, in the order of their ids."""
-        return found[int(self.share * len(found))]
+    def of(self, choices: Sequence[Item]) -> Item:
+        """Returns the selected object; `choices` contains at least one object, in the order of their ids."""
+        return choices[int(self.share * len(choices))]
 
 
 class StartView(Model):
@@ -99,25 +99,33 @@ def start_view_findings(
         min_pixels: smallest mask of a visible object, pixels.
     """
     shown = ids_in_view(ids, min_pixels)
-    found = []
+    findings = []
     if view.within_rad is not None and abs(bearing_rad) > view.within_rad:
         limit = math.degrees(view.within_rad)
-        found.append(f"the target is {math.degrees(abs(bearing_rad)):.1f} degrees from the heading, above {limit:.0f}")
+        findings.append(
+            f"the target is {math.degrees(abs(bearing_rad)):.1f} degrees from the heading, above {limit:.0f}"
+        )
     if target in shown:
         others = sorted(shown.intersection(view.other_referents))
         if others:
-            found.append(f"objects {others} are in view, and the instruction fits them as well")
+            findings.append(f"objects {others} are in view, and the instruction fits them as well")
         same = shown.intersection(view.same_category)
         if len(same) < view.least_same_category:
             least = view.least_same_category
-            found.append(f"{len(same)} other objects of the target's category are in view, at least {least} must be")
+            findings.append(f"{len(same)} other objects of the target's category are in view, at least {least} must be")
         elif view.ranks is not None:
-            found += _rank_findings(view.ranks, target, same, ids, depth, camera, min_pixels)
-        return found
+            findings += _rank_findings(
+                view.ranks, target, same_category=same, ids=ids, depth=depth, camera=camera, min_pixels=min_pixels
+            )
+        return findings
     if view.shows_target:
-        found.append("the target is not in view")
+        findings.append("the target is not in view")
     others = sorted(shown.intersection(view.same_category))
-    return [*found, f"objects {others} of the target's category are in view, but not the target"] if others else found
+    return (
+        [*findings, f"objects {others} of the target's category are in view, but not the target"]
+        if others
+        else findings
+    )
 
 
 def _rank_findings(
@@ -131,14 +139,14 @@ def _rank_findings(
 ) -> list[str]:
     """Returns a sentence for each measure (distance, angle) by which the target's rank contradicts `ranks`."""
     # a start faces its target, which without this would nearly always be the most central object of its category
-    seen = see_objects(ids, depth, {target, *same_category}, camera, min_pixels)
-    found = []
+    seen = see_objects(ids, depth, objects={target, *same_category}, camera=camera, min_pixels=min_pixels)
+    findings = []
     measures = {"nearest": _range_of, "most central": _angle_of}
     for (name, measure), share in zip(measures.items(), ranks, strict=True):
         is_first = min(seen, key=measure).id == target
         if is_first != (share * len(seen) < 1):
-            found.append(f"the target is {'' if is_first else 'not '}the {name} object of its category in view")
-    return found
+            findings.append(f"the target is {'' if is_first else 'not '}the {name} object of its category in view")
+    return findings
 
 
 def _range_of(seen: SeenObject) -> float:
@@ -179,11 +187,11 @@ def see_objects(
         camera: camera of the image.
         min_pixels: smallest mask of an object in view, pixels.
     """
-    found = sorted(ids_in_view(ids, min_pixels).intersection(objects))
+    visible_ids = sorted(ids_in_view(ids, min_pixels).intersection(objects))
     # tangents of the angles from the optical axis to the centres of the pixels of a row or column
     half = ids.shape[0] / 2
     tangents = (np.arange(ids.shape[0]) + 0.5 - half) / half * math.tan(math.radians(camera.fov_deg) / 2)
-    return tuple(_see(number, np.nonzero(ids == number), depth, tangents) for number in found)
+    return tuple(_see(number, np.nonzero(ids == number), depth, tangents) for number in visible_ids)
 
 
 def _see(

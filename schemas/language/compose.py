@@ -85,7 +85,7 @@ class Composer:
     def _search(
         self, scene: SceneLanguage, seen: ViewFacts | None, number: int, code: str, families: frozenset[Family]
     ) -> Search:
-        return Search(scene.parts, seen, number, families, self._by_language[code].grammar)
+        return Search(scene.parts, seen, number=number, families=families, words=self._by_language[code].grammar)
 
     def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
         """Returns the features for try number `turn`: in the first two tries, a few features drawn by their weights; in
@@ -113,11 +113,11 @@ class Composer:
         """
         if scene.distractors(number) < self.spec.least_others:
             return []
-        found: dict[str, Instruction] = {}
+        instructions: dict[str, Instruction] = {}
         seen = None if view is None else ViewFacts(scene.facts, view)
         options: dict[tuple[str, frozenset[Family]], _Options] = {}
         for turn in range(_TRIES + self.spec.per_episode):
-            if len(found) == self.spec.per_episode:
+            if len(instructions) == self.spec.per_episode:
                 break
             code, families = draw_weighted(self.spec.languages, rng), self._drawn_families(turn, rng)
             if (code, families) not in options:
@@ -127,16 +127,16 @@ class Composer:
                 break
             one = self._one(scene, view, number, held_out, code, options[code, families], rng)
             if one is not None:
-                found.setdefault(one.text, one)
+                instructions.setdefault(one.text, one)
         if rng.random() < self.spec.false_premises:
-            wrong = self.write_false_premise(scene, view, number, held_out, rng)
-            found |= {} if wrong is None else {wrong.text: wrong}
-        return list(found.values())
+            wrong = self.write_false_premise(scene, view, number=number, held_out=held_out, rng=rng)
+            instructions |= {} if wrong is None else {wrong.text: wrong}
+        return list(instructions.values())
 
     def _is_hopeless(self, code: str, options: Mapping[tuple[str, frozenset[Family]], _Options]) -> bool:
         """Returns whether a search with all features has found nothing in a language."""
-        found = options.get((code, self.spec.families))
-        return found is not None and not found.groups
+        option = options.get((code, self.spec.families))
+        return option is not None and not option.groups
 
     def _grouped(
         self, search: Search, number: int, rng: np.random.Generator
@@ -179,9 +179,17 @@ class Composer:
             return None
         fits = 1 if expression.definite else len(scene.verifier.evaluate(expression, view).possible)
         return self._instruction(
-            InstructionKind.GOAL, text, code, pattern, expression, features_of(expression, kind), is_minimal, fits,
-            scene.distractors(number), rng,
-        )  # fmt: skip
+            InstructionKind.GOAL,
+            text,
+            code=code,
+            pattern=pattern,
+            expression=expression,
+            features=features_of(expression, kind),
+            is_minimal=is_minimal,
+            fits=fits,
+            distractors=scene.distractors(number),
+            rng=rng,
+        )
 
     def say(
         self, code: str, held_out: bool, expression: Expression, rng: np.random.Generator
@@ -232,25 +240,33 @@ class Composer:
             pattern, text = self.say(code, held_out, absent, rng)
             if scene.verifier.is_false_premise(text, self._by_language[code].reader, view):
                 return self._instruction(
-                    InstructionKind.FALSE_PREMISE, text, code, pattern, absent, absent.families, True, 0,
-                    scene.distractors(number), rng,
-                )  # fmt: skip
+                    InstructionKind.FALSE_PREMISE,
+                    text,
+                    code=code,
+                    pattern=pattern,
+                    expression=absent,
+                    features=absent.families,
+                    is_minimal=True,
+                    fits=0,
+                    distractors=scene.distractors(number),
+                    rng=rng,
+                )
         return None
 
     def _absent(self, scene: SceneLanguage, number: int, code: str) -> list[list[Expression]]:
         """Returns groups of expressions that may fit no object of the scene. The first group names the categories that
         the scene lacks. The other groups name the category of object `number` with each colour, and next to each other
         kind of object."""
-        own, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
+        target, nouns = scene.graph.objects[number], self._by_language[code].grammar.nouns
         kinds = sorted({each.kind for each in scene.graph.objects if each.kind in nouns})
-        others = [kind for kind in kinds if kind != own.kind]
-        is_coloured = own.colour != UNKNOWN and scene.graph.kinds.of(own.kind).plain
+        others = [kind for kind in kinds if kind != target.kind]
+        is_coloured = target.colour != UNKNOWN and scene.graph.kinds.of(target.kind).plain
         beside = [Clause(relation=Relation.NEXT_TO, landmarks=(Landmark(kind=k, definite=False),)) for k in others]
         families = self.spec.families
         return [
             [Expression(kind=kind) for kind in CATEGORIES if kind in nouns and kind not in kinds],
-            [Expression(kind=own.kind, colour=c) for c in COLOUR_NAMES if is_coloured and Family.COLOUR in families],
-            [Expression(kind=own.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
+            [Expression(kind=target.kind, colour=c) for c in COLOUR_NAMES if is_coloured and Family.COLOUR in families],
+            [Expression(kind=target.kind, clauses=(clause,)) for clause in beside if Family.NEAR in families],
         ]
 
     def _mistake(self, rng: np.random.Generator) -> MistakeKind | None:
@@ -276,7 +292,9 @@ class Composer:
         rng: np.random.Generator,
     ) -> Instruction:
         mistake = self._mistake(rng)
-        wrong = mistake and with_mistake(text, mistake, code, self._by_language[code].reader.vocabulary, rng)
+        wrong = mistake and with_mistake(
+            text, mistake, code=code, vocabulary=self._by_language[code].reader.vocabulary, rng=rng
+        )
         return Instruction(
             kind=kind,
             text=wrong or text,

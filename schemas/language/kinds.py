@@ -94,7 +94,7 @@ class Kinds(Model):
         if word not in self._alike:
             inside = self.kinds_of(word)
             alike = {other for kind in inside for other in self.of(kind).like}
-            alike |= {kind for kind, own in self.kinds.items() if inside.intersection(own.like)}
+            alike |= {kind for kind, definition in self.kinds.items() if inside.intersection(definition.like)}
             self._alike[word] = frozenset(alike - inside)
         return self._alike[word]
 
@@ -104,8 +104,8 @@ class Kinds(Model):
 
     @cached_property
     def _prims(self) -> tuple[tuple[frozenset[str], str], ...]:
-        found = [(frozenset(words), kind) for kind, own in self.kinds.items() for words in own.prims]
-        return tuple(sorted(found, key=lambda entry: -len(entry[0])))
+        prims = [(frozenset(words), kind) for kind, definition in self.kinds.items() for words in definition.prims]
+        return tuple(sorted(prims, key=lambda entry: -len(entry[0])))
 
     def landmark_of(self, segments: Iterable[str]) -> tuple[str, int] | None:
         """Returns the kind of a landmark and the number of the segment of the prim path that names it, or `None`."""
@@ -118,8 +118,8 @@ class Kinds(Model):
 
     @cached_property
     def _seen(self) -> tuple[tuple[frozenset[str], str], ...]:
-        own = [(frozenset(kind.split("_")), kind) for kind in self.kinds]
-        return (*own, *((frozenset(words), kind) for kind, group in self.seen_as.items() for words in group))
+        words_of_kinds = [(frozenset(kind.split("_")), kind) for kind in self.kinds]
+        return (*words_of_kinds, *((frozenset(words), kind) for kind, group in self.seen_as.items() for words in group))
 
     def special_of(self, category: str, segments: Iterable[str]) -> str:
         """Returns the kind of an object: the special kind of its category that its prim path names, or the category."""
@@ -130,9 +130,9 @@ class Kinds(Model):
         """Returns the kinds for which a viewer may mistake a prim, and the number of the segment that names them."""
         for number, segment in reversed(list(enumerate(segments))):
             words = frozenset(word.lower() for word in _WORD.findall(segment))
-            found = dict.fromkeys(kind for wanted, kind in self._seen if wanted <= words)
-            if found:
-                return tuple(found), number
+            seen_kinds = dict.fromkeys(kind for wanted, kind in self._seen if wanted <= words)
+            if seen_kinds:
+                return tuple(seen_kinds), number
         return None
 
 

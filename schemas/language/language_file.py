@@ -129,7 +129,7 @@ class LanguageSpec(Model):
         _known(dict.fromkeys(given, 1.0), LANGUAGES, "language", least=False)
         for code, group in given.items():
             _known(dict.fromkeys(group, 1.0), REGISTERS, "register", least=False)
-            for text in (text for own in group.values() for text in own):
+            for text in (text for paraphrase in group.values() for text in paraphrase):
                 fault = pattern_fault(code, text)
                 if fault:
                     raise ValueError(f"{text!r} is not a sentence pattern: {fault}")
@@ -208,13 +208,13 @@ class SpokenLanguage:
     """
 
     def __init__(self, spec: LanguageSpec, code: str) -> None:
-        own, more = spec.nouns.get(code, {}), spec.paraphrases.get(code, {})
+        nouns, more = spec.nouns.get(code, {}), spec.paraphrases.get(code, {})
         base = grammar(code)
         self.code = code
-        if not own and not more:
+        if not nouns and not more:
             self.grammar, self.reader = base, reader(code)
             return
-        changes = {"nouns": {**base.nouns, **own}, "paraphrases": more}
+        changes = {"nouns": {**base.nouns, **nouns}, "paraphrases": more}
         self.grammar = Grammar(**{**{name: getattr(base, name) for name in Grammar.model_fields}, **changes})
         self.reader = Reader(self.grammar)
 

@@ -48,8 +48,8 @@ def remove_address(root: Path) -> None:
 def read_address(root: Path, name: str = ADDRESS_FILE) -> CoordinatorAddress | None:
     """Reads the address file; returns `None` if it does not exist or is invalid."""
     try:
-        found = json.loads((root / name).read_text(encoding="utf-8"))
-        return CoordinatorAddress(str(found["run"]), tuple(map(str, found["endpoints"])), int(found["pid"]))
+        content = json.loads((root / name).read_text(encoding="utf-8"))
+        return CoordinatorAddress(str(content["run"]), tuple(map(str, content["endpoints"])), int(content["pid"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -64,10 +64,10 @@ def find_endpoints(connect: Sequence[str]) -> tuple[str, ...]:
         RunFinished: the run of the file is finished, and no coordinator runs.
         WorldError: the file does not exist yet, or is not an address file.
     """
-    found: list[str] = []
+    endpoints: list[str] = []
     for one in connect:
         if not one.startswith("@"):
-            found.append(one)
+            endpoints.append(one)
             continue
         path = Path(one[1:])
         address = read_address(path if path.is_dir() else path.parent, path.name if not path.is_dir() else ADDRESS_FILE)
@@ -75,8 +75,8 @@ def find_endpoints(connect: Sequence[str]) -> tuple[str, ...]:
             raise WorldError(f"{path} has no address of a coordinator: start one with --out in that directory")
         if not address.endpoints:
             raise RunFinished(f"run {address.run} in {path} is finished, and its coordinator has ended")
-        found += address.endpoints
-    return tuple(found)
+        endpoints += address.endpoints
+    return tuple(endpoints)
 
 
 def usable_endpoints(endpoints: Sequence[str], hosts: Sequence[str]) -> tuple[str, ...]:

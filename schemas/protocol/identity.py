@@ -78,7 +78,7 @@ def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]
         UsageError: a line is not valid.
     """
     known = [role for role in Role if of_gateway or role is not Role.COORDINATOR]
-    found: dict[str, Role] = {}
+    roles: dict[str, Role] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = line.partition("#")[0].split()
         if not words:
@@ -86,8 +86,8 @@ def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]
         name, role = (*words, Role.WORKER)[:2]
         if len(words) > 2 or role not in known or not is_host_name(name):
             raise UsageError(f"line {number} is {line[:80]!r}, expected NAME, or NAME and one of: {', '.join(known)}")
-        found[name] = Role(role)
-    return found
+        roles[name] = Role(role)
+    return roles
 
 
 def format_admitted(admitted: Mapping[str, Role]) -> str:

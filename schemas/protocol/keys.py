@@ -172,11 +172,11 @@ def parse_bundle_ranges(parameters: Mapping[str, str]) -> tuple[BundleRange, ...
             f"{[len(column) for column in columns]} values of {', '.join(RANGE_FIELDS)}; expected equal numbers, "
             f"at most {MAX_RANGES}"
         )
-    found = tuple(_range_of(dict(zip(RANGE_FIELDS, row, strict=True))) for row in zip(*columns, strict=True))
-    total = sum(each.chunk.length for each in found)
+    bundle_ranges = tuple(_range_of(dict(zip(RANGE_FIELDS, row, strict=True))) for row in zip(*columns, strict=True))
+    total = sum(each.chunk.length for each in bundle_ranges)
     if total > MAX_CHUNK_BYTES:
         raise ValueError(f"ranges of {total} bytes in total are not within 1..{MAX_CHUNK_BYTES} bytes")
-    return found
+    return bundle_ranges
 
 
 def _range_of(parameters: Mapping[str, str]) -> BundleRange:

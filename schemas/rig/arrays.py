@@ -67,8 +67,12 @@ def _specs(sensor: Sensor) -> list[ArraySpec]:
         case Imu():
             gyro, force = sensor.gyro_range_rps, sensor.accelerometer_range_mps2
             return [
-                ArraySpec(f"{sensor.name}/angular_velocity", (None, 3), np.float32, "rad/s", -gyro, gyro),
-                ArraySpec(f"{sensor.name}/specific_force", (None, 3), np.float32, "m/s2", -force, force),
+                ArraySpec(
+                    f"{sensor.name}/angular_velocity", (None, 3), dtype=np.float32, unit="rad/s", low=-gyro, high=gyro
+                ),
+                ArraySpec(
+                    f"{sensor.name}/specific_force", (None, 3), dtype=np.float32, unit="m/s2", low=-force, high=force
+                ),
             ]
         case WheelOdometry():
             return [
@@ -79,9 +83,9 @@ def _specs(sensor: Sensor) -> list[ArraySpec]:
         case Lidar2d() | Lidar3d():
             shape = (len(sensor.elevations_deg) if isinstance(sensor, Lidar3d) else 1, sensor.samples)
             return [
-                ArraySpec(f"{sensor.name}/ranges", shape, np.float32, "m", 0.0, sensor.range_max_m),
+                ArraySpec(f"{sensor.name}/ranges", shape, dtype=np.float32, unit="m", low=0.0, high=sensor.range_max_m),
                 ArraySpec(f"{sensor.name}/ids", shape, np.uint16, "instance id"),
-                ArraySpec(f"{sensor.name}/cosines", shape, np.float32, "1", 0.0, 1.0 + 1e-6),
+                ArraySpec(f"{sensor.name}/cosines", shape, dtype=np.float32, unit="1", low=0.0, high=1.0 + 1e-6),
             ]
     return [_image_spec(sensor, output) for output in CameraOutput if output in sensor.outputs]
 
@@ -92,11 +96,11 @@ def _image_spec(camera: Camera, output: CameraOutput) -> ArraySpec:
         case CameraOutput.RGB:
             return ArraySpec(name, (*shape, 3), np.uint8, "sRGB")
         case CameraOutput.DEPTH:
-            return ArraySpec(name, shape, np.float32, "m", 0.0, _most_depth_m(camera))
+            return ArraySpec(name, shape, dtype=np.float32, unit="m", low=0.0, high=_most_depth_m(camera))
         case CameraOutput.IDS:
             return ArraySpec(name, shape, np.uint16, "instance id")
         case CameraOutput.NORMALS:
-            return ArraySpec(name, (*shape, 3), np.float32, "1", -1.0 - 1e-6, 1.0 + 1e-6)
+            return ArraySpec(name, (*shape, 3), dtype=np.float32, unit="1", low=-1.0 - 1e-6, high=1.0 + 1e-6)
         case CameraOutput.FLOW:
             return ArraySpec(name, (*shape, 2), np.float32, "px", may_be_nan=True)
 

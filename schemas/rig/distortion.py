@@ -50,22 +50,22 @@ def undistort(points: Floats, coefficients: Sequence[float]) -> Floats:
     Follows the line from the centre to each point, with Newton's method, so the result is on the same side of a
     fold of the distortion as the centre.
     """
-    found = np.zeros_like(points)
+    plain = np.zeros_like(points)
     whole = np.ones(points.shape[:-1], bool)
     for share in np.linspace(0, 1, _STEPS + 1)[1:]:
         for _ in range(_NEWTON_STEPS if share == 1 else 2):
-            error = distort(found, coefficients) - share * points
-            a, b, d = _derivative(found, coefficients)
+            error = distort(plain, coefficients) - share * points
+            a, b, d = _derivative(plain, coefficients)
             gain = a * d - b * b
             whole &= (gain > _LEAST_GAIN) & (a + d > 0)
             safe = np.where(whole, gain, 1.0)
-            found = found - np.stack(
+            plain = plain - np.stack(
                 ((d * error[..., 0] - b * error[..., 1]) / safe, (a * error[..., 1] - b * error[..., 0]) / safe),
                 axis=-1,
             )
-            found[~whole] = 0.0
-    whole &= np.abs(distort(found, coefficients) - points).max(axis=-1) < 1e-9 * (1 + np.abs(points).max(axis=-1))
-    return np.where(whole[..., None], found, np.nan)
+            plain[~whole] = 0.0
+    whole &= np.abs(distort(plain, coefficients) - points).max(axis=-1) < 1e-9 * (1 + np.abs(points).max(axis=-1))
+    return np.where(whole[..., None], plain, np.nan)
 
 
 def fisheye_radii(angles: Floats, coefficients: Sequence[float]) -> Floats:

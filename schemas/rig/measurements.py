@@ -74,7 +74,7 @@ def decode_array(spec: ArraySpec, data: bytes, rows: int) -> NDArray[Any]:
         array = decode_png(spec.name, data, shape)
     else:
         limit = math.prod(shape) * np.dtype(spec.dtype).itemsize + _SLACK_BYTES
-        array = decode_npy_zst(spec.name, data, spec.dtype, shape, limit)
+        array = decode_npy_zst(spec.name, data, dtype=spec.dtype, shape=shape, max_bytes=limit)
     findings = spec.violations(array, rows)
     if findings:
         raise InvalidBundle("measurement refused", findings)

@@ -97,13 +97,13 @@ class Rig(Model):
 
     def faults(self, control_hz: int) -> list[str]:
         """Returns a message for each sensor whose rate does not divide a control rate."""
-        found = []
+        findings = []
         for sensor in self.sensors:
             try:
                 sensor.stride(control_hz)
             except ValueError as error:
-                found.append(str(error))
-        return found
+                findings.append(str(error))
+        return findings
 
     @model_validator(mode="after")
     def _sensors_fit(self) -> Self:

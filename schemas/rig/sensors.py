@@ -90,8 +90,8 @@ class _Lidar(MountedSensor):
     def _ranges_are_ordered(self) -> Self:
         for low, high in (("range_min_m", "range_max_m"), ("azimuth_min_deg", "azimuth_max_deg")):
             if getattr(self, low) >= getattr(self, high):
-                found = f"{low} {getattr(self, low):g} must be less than {high} {getattr(self, high):g}"
-                raise ValueError(f"{found}: swap them")
+                problem = f"{low} {getattr(self, low):g} must be less than {high} {getattr(self, high):g}"
+                raise ValueError(f"{problem}: swap them")
         if self.azimuth_max_deg - self.azimuth_min_deg > 360:
             raise ValueError("the azimuths span more than 360 degrees: reduce azimuth_max_deg")
         return self

@@ -62,21 +62,21 @@ class CompiledScene:
 SCENE_ARRAYS = {
     spec.name: spec
     for spec in (
-        ArraySpec("positions", (None, 3), np.float32, "m", -1e4, 1e4),
+        ArraySpec("positions", (None, 3), dtype=np.float32, unit="m", low=-1e4, high=1e4),
         ArraySpec("uvs", (None, 2), np.float32, "1"),
         ArraySpec("colours", (None, 3), np.uint8, "sRGB"),
-        ArraySpec("light_uvs", (None, 2), np.float32, "1", 0, 1),
+        ArraySpec("light_uvs", (None, 2), dtype=np.float32, unit="1", low=0, high=1),
         ArraySpec("light_map", (None, None, 3), np.uint8, "gamma 1/2.2"),
-        ArraySpec("part_first", (None,), np.int32, "vertex", 0),
-        ArraySpec("part_count", (None,), np.int32, "vertices", 0),
-        ArraySpec("part_instance", (None,), np.uint16, "instance id", 1),
-        ArraySpec("part_texture", (None,), np.int16, "layer", -1, 63),
-        ArraySpec("collider_vertices", (None, 3), np.float32, "m", -1e4, 1e4),
-        ArraySpec("collider_triangles", (None, 3), np.int32, "vertex", 0),
-        ArraySpec("occupancy", (None, None), np.uint8, "1", 0, 2),
-        ArraySpec("reachable", (None, None), np.uint8, "1", 0, 1),
-        ArraySpec("spawns", (None, 2), np.float32, "m", -1e4, 1e4),
-        ArraySpec("spawn_sees", (None, None), np.uint8, "1", 0, 1),
+        ArraySpec("part_first", (None,), dtype=np.int32, unit="vertex", low=0),
+        ArraySpec("part_count", (None,), dtype=np.int32, unit="vertices", low=0),
+        ArraySpec("part_instance", (None,), dtype=np.uint16, unit="instance id", low=1),
+        ArraySpec("part_texture", (None,), dtype=np.int16, unit="layer", low=-1, high=63),
+        ArraySpec("collider_vertices", (None, 3), dtype=np.float32, unit="m", low=-1e4, high=1e4),
+        ArraySpec("collider_triangles", (None, 3), dtype=np.int32, unit="vertex", low=0),
+        ArraySpec("occupancy", (None, None), dtype=np.uint8, unit="1", low=0, high=2),
+        ArraySpec("reachable", (None, None), dtype=np.uint8, unit="1", low=0, high=1),
+        ArraySpec("spawns", (None, 2), dtype=np.float32, unit="m", low=-1e4, high=1e4),
+        ArraySpec("spawn_sees", (None, None), dtype=np.uint8, unit="1", low=0, high=1),
     )
 }
 """Specs of the arrays of a scene except its textures, by name."""

@@ -58,13 +58,13 @@ def split_package(file: BinaryIO) -> PackageParts:
     """
     reader = ContainerReader(file, PACKAGE_LIMITS)
     members = {texture.file: texture for texture in read_scene_info(file).textures}
-    found = {texture: reader.read(name) for name, texture in members.items() if name in reader.names}
+    textures = {texture: reader.read(name) for name, texture in members.items() if name in reader.names}
     buffer = io.BytesIO()
     with ContainerWriter(buffer) as out:
         for name in reader.names:
             if name not in members:
                 out.add(name, reader.read(name))
-    return PackageParts(buffer.getvalue(), found)
+    return PackageParts(buffer.getvalue(), textures)
 
 
 def require_sound(file: BinaryIO) -> None:

@@ -56,12 +56,12 @@ def read_texture(package: Path, texture: TextureFile) -> bytes:
     try:
         if path.stat().st_size == texture.size:
             return path.read_bytes()
-        found = f"has {path.stat().st_size} bytes, expected {texture.size}"
+        problem = f"has {path.stat().st_size} bytes, expected {texture.size}"
     except FileNotFoundError:
-        found = "is missing"
+        problem = "is missing"
     except OSError as error:
-        found = f"cannot be read ({error.strerror})"
-    raise InvalidBundle(f"{package} cannot be used", [f"texture {path} {found}; {_REMEDY}"])
+        problem = f"cannot be read ({error.strerror})"
+    raise InvalidBundle(f"{package} cannot be used", [f"texture {path} {problem}; {_REMEDY}"])
 
 
 def copy_package(package: Path, target: Path) -> None:

@@ -24,7 +24,7 @@ from schemas.scene.compiled import SCENE_ARRAYS, TEXTURES_SPEC, CompiledScene, L
 from schemas.scene.info import LAYOUT_FORMAT, MAX_TEXTURES, SCENE_FORMAT, SceneInfo, TextureFile
 from schemas.scene.textures import ReadTexture, encode_texture, load_texture
 
-PLACES = ArraySpec("places", (None, 3), np.float32, "m", -1e4, 1e4)
+PLACES = ArraySpec("places", (None, 3), dtype=np.float32, unit="m", low=-1e4, high=1e4)
 """(U, 3) distinct vertex positions in the order of their first use, metres."""
 PLACE_STEPS = ArraySpec("place_steps", (None,), np.uint32, "1")
 """(V,) for each vertex, the number of distinct places before it minus the index of its place; 0 for a new place."""
@@ -35,11 +35,11 @@ LIGHT_STEPS = ArraySpec("light_steps", (3, None, None), np.uint8, "1")
 def split_positions(positions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Returns `PLACES` and `PLACE_STEPS` of vertex positions (V, 3)."""
     rows = np.ascontiguousarray(positions).view(np.dtype((np.void, 12))).reshape(-1)
-    _, firsts, found = np.unique(rows, return_index=True, return_inverse=True)
+    _, firsts, places = np.unique(rows, return_index=True, return_inverse=True)
     order = np.argsort(firsts)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
-    place = rank[found]
+    place = rank[places]
     used = np.concatenate(([0], np.maximum.accumulate(place)[:-1] + 1)) if len(place) else place
     return positions[firsts[order]], (used - place).astype(np.uint32)
 
@@ -240,14 +240,14 @@ def _read_info(reader: ContainerReader) -> SceneInfo:
         raise InvalidBundle("scene refused", [f"{_INFO}: {item['msg']}" for item in error.errors()]) from error
     if info.format not in _READABLE or is_small != (info.format == LAYOUT_FORMAT):
         remedy = "create it again with `factory scene build` or `factory scene import`"
-        found = f"scene format {info.format}, this software reads {', '.join(map(str, _READABLE))}; {remedy}"
-        raise InvalidBundle("scene refused", [found])
+        problem = f"scene format {info.format}, this software reads {', '.join(map(str, _READABLE))}; {remedy}"
+        raise InvalidBundle("scene refused", [problem])
     return info
 
 
 def _read_array(reader: ContainerReader, spec: ArraySpec) -> NDArray[Any]:
     data = reader.read(f"{spec.name}.npy.zst")
-    array = decode_npy_zst(spec.name, data, spec.dtype, spec.shape, MAX_SCENE_BYTES)
+    array = decode_npy_zst(spec.name, data, dtype=spec.dtype, shape=spec.shape, max_bytes=MAX_SCENE_BYTES)
     findings = spec.violations(array)
     if findings:
         raise InvalidBundle("scene refused", findings)

@@ -37,12 +37,12 @@ def encode_texture(layer: Layer) -> tuple[TextureFile, bytes]:
 
     The files of recently encoded layers are kept, because layouts share them.
     """
-    found = _encoded.get(_digest(layer))
-    if found is None:
+    encoded = _encoded.get(_digest(layer))
+    if encoded is None:
         data = encode_npy_zst(layer, level=_LEVEL)
-        found = TextureFile(sha256=hashlib.sha256(data).hexdigest(), size=len(data)), data
-    remember_encoded(layer, *found)
-    return found
+        encoded = TextureFile(sha256=hashlib.sha256(data).hexdigest(), size=len(data)), data
+    remember_encoded(layer, *encoded)
+    return encoded
 
 
 def remember_encoded(layer: Layer, texture: TextureFile, data: bytes) -> None:
@@ -64,11 +64,11 @@ def require_texture(texture: TextureFile, data: bytes) -> None:
     Raises:
         InvalidBundle: the file has a different size or digest.
     """
-    found = hashlib.sha256(data).hexdigest()
-    if (len(data), found) != (texture.size, texture.sha256):
+    sha256 = hashlib.sha256(data).hexdigest()
+    if (len(data), sha256) != (texture.size, texture.sha256):
         raise InvalidBundle(
             "texture refused",
-            [f"{texture.file}: {len(data)} bytes with SHA-256 {found[:16]}, expected {texture.size} bytes"],
+            [f"{texture.file}: {len(data)} bytes with SHA-256 {sha256[:16]}, expected {texture.size} bytes"],
         )
 
 
@@ -79,7 +79,9 @@ def decode_texture(texture: TextureFile, data: bytes) -> Layer:
         InvalidBundle: the file has a different size or digest, or is not a layer.
     """
     require_texture(texture, data)
-    return decode_npy_zst(texture.file, data, np.uint8, _SHAPE, _RAW_BYTES).astype(np.uint8, copy=False)
+    return decode_npy_zst(texture.file, data, dtype=np.uint8, shape=_SHAPE, max_bytes=_RAW_BYTES).astype(
+        np.uint8, copy=False
+    )
 
 
 def load_texture(texture: TextureFile, read: ReadTexture) -> Layer:

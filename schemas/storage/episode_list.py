@@ -55,10 +55,10 @@ def list_episodes(root: Place) -> EpisodeList:
         else:
             foreign.append(path)
     packed = ShardIndex.of(folder, shards)
-    found = files | dict(reversed(list(packed))) if len(packed) else files
-    ordered = dict(sorted(found.items(), key=itemgetter(0)))
+    files_by_index = files | dict(reversed(list(packed))) if len(packed) else files
+    ordered = dict(sorted(files_by_index.items(), key=itemgetter(0)))
     twice, index_fault = list(_find_twice(files, packed)), _index_fault(root, packed)
-    return EpisodeList(ordered, len(shards), foreign, damaged, twice, index_fault)
+    return EpisodeList(ordered, len(shards), foreign=foreign, damaged=damaged, twice=twice, index_fault=index_fault)
 
 
 def _read_shard(path: Place) -> tuple[ShardDirectory, str]:

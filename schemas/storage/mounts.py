@@ -55,11 +55,11 @@ def mount_of(path: Path, mounts: Path = MOUNTS) -> MountPoint | None:
         lines = mounts.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
         return None
-    found: MountPoint | None = None
+    point: MountPoint | None = None
     resolved = path.resolve()
     for line in lines:
         before, _, after = line.partition(" - ")
         folder = Path(_ESCAPED.sub(lambda code: chr(int(code[1], 8)), before.split()[4]))
-        if resolved.is_relative_to(folder) and (found is None or len(folder.parts) >= len(found.folder.parts)):
-            found = MountPoint(folder, after.split()[0])
-    return found
+        if resolved.is_relative_to(folder) and (point is None or len(folder.parts) >= len(point.folder.parts)):
+            point = MountPoint(folder, after.split()[0])
+    return point

@@ -121,7 +121,7 @@ class ObjectPath:
         """Yields the folders and the objects in a folder, objects with their sizes; nothing if it does not exist."""
         folders, files = self.objects.list_folder(self.key)
         yield from (ObjectPath(self.objects, key) for key in folders)
-        yield from (ObjectPath(self.objects, found.key, found.size) for found in files)
+        yield from (ObjectPath(self.objects, listed.key, listed.size) for listed in files)
 
     def walk(self, after: str = "") -> Iterator[ObjectPath]:
         """Yields all objects below a folder, recursively, with their sizes.
@@ -129,8 +129,8 @@ class ObjectPath:
         Args:
             after: name in the folder; objects whose keys precede it are omitted.
         """
-        found = self.objects.walk(self.key, f"{self.key}/{after}" if after else None)
-        return (ObjectPath(self.objects, one.key, one.size) for one in found)
+        listing = self.objects.walk(self.key, f"{self.key}/{after}" if after else None)
+        return (ObjectPath(self.objects, one.key, one.size) for one in listing)
 
     def glob(self, pattern: str) -> Iterator[ObjectPath]:
         """Yields the entries of the folder whose name matches a pattern."""

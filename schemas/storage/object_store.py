@@ -111,12 +111,12 @@ class Objects:
             self._call("list", folder, lambda api, store: api.list(store, folder, offset=after, chunk_size=_BATCH))
         )
         while (batch := self._call("list", folder, lambda _api, _store: next(batches, None))) is not None:
-            yield from (Listed(found["path"], found["size"]) for found in batch)
+            yield from (Listed(entry["path"], entry["size"]) for entry in batch)
 
     def list_folder(self, folder: str) -> tuple[list[str], list[Listed]]:
         """Returns the keys of the folders directly in a folder, and the objects directly in it."""
-        found = self._call("list", folder, lambda api, store: api.list_with_delimiter(store, folder or None))
-        return list(found["common_prefixes"]), [Listed(item["path"], item["size"]) for item in found["objects"]]
+        listing = self._call("list", folder, lambda api, store: api.list_with_delimiter(store, folder or None))
+        return list(listing["common_prefixes"]), [Listed(item["path"], item["size"]) for item in listing["objects"]]
 
     def copy(self, key: str, to: str) -> None:
         self._call("copy", key, lambda api, store: api.copy(store, key, to))
@@ -199,9 +199,9 @@ def _open(url: str) -> Any:
 
 
 def _world_error(what: str, place: str, text: str) -> WorldError:
-    found = _cause_of(text)
-    remedy = next((remedy for mark, remedy in _REMEDIES if mark in found), "check the store, then try again")
-    return WorldError(f"cannot {what} {place}: {found}; {remedy}")
+    cause = _cause_of(text)
+    remedy = next((remedy for mark, remedy in _REMEDIES if mark in cause), "check the store, then try again")
+    return WorldError(f"cannot {what} {place}: {cause}; {remedy}")
 
 
 def _cause_of(text: str) -> str:

@@ -52,12 +52,12 @@ class ShardIndex:
 
     @classmethod
     def of(cls, folder: Place, shards: Iterable[ShardDirectory]) -> ShardIndex:
-        found = sorted(shards, key=lambda shard: shard.name)
-        positions = [np.full(len(shard.numbers), position, np.int64) for position, shard in enumerate(found)]
-        columns = [_joined(shard.numbers for shard in found), _joined(positions)]
-        columns += [_joined(shard.offsets for shard in found), _joined(shard.sizes for shard in found)]
+        ordered = sorted(shards, key=lambda shard: shard.name)
+        positions = [np.full(len(shard.numbers), position, np.int64) for position, shard in enumerate(ordered)]
+        columns = [_joined(shard.numbers for shard in ordered), _joined(positions)]
+        columns += [_joined(shard.offsets for shard in ordered), _joined(shard.sizes for shard in ordered)]
         order = np.argsort(columns[0], kind="stable")
-        return cls(folder, tuple(shard.name for shard in found), *(column[order] for column in columns))
+        return cls(folder, tuple(shard.name for shard in ordered), *(column[order] for column in columns))
 
     def find(self, number: int) -> PackedPath | None:
         """Returns the path of an episode, or `None` if no shard contains the episode. Reads nothing."""
@@ -129,8 +129,8 @@ def shard_places(root: Place) -> list[Place]:
     """Returns the paths of the shards of a dataset, by name."""
     folder = root / EPISODES
     # the names of shards sort after the names of episodes, so one request lists all shards
-    found = folder.walk(after="shard") if isinstance(folder, ObjectPath) else children(folder)
-    return sorted(place for place in found if is_shard(place.name) and place.parent == folder)
+    places = folder.walk(after="shard") if isinstance(folder, ObjectPath) else children(folder)
+    return sorted(place for place in places if is_shard(place.name) and place.parent == folder)
 
 
 def open_shard(place: Place) -> tuple[ShardDirectory, str]:

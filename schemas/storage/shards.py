@@ -116,9 +116,9 @@ def salvage_shard(file: BinaryIO, name: str) -> ShardDirectory:
     file.seek(0)
     data = file.read(min(size, _MAX_SHARD_BYTES))
     first, last = range_of_shard(name)
-    found = {number: place for number, *place in _scan(data) if first <= number <= last}
-    numbers = sorted(found)[:MAX_SHARD_EPISODES]
-    return _shard(name, numbers, (found[number][0] for number in numbers), (found[number][1] for number in numbers))
+    places = {number: place for number, *place in _scan(data) if first <= number <= last}
+    numbers = sorted(places)[:MAX_SHARD_EPISODES]
+    return _shard(name, numbers, (places[number][0] for number in numbers), (places[number][1] for number in numbers))
 
 
 def empty_directory(name: str) -> ShardDirectory:

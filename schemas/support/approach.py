@@ -73,8 +73,8 @@ def _bracket(away: Floats, limit: Floats, centre: Floats, vertices: Floats) -> t
         before, share = share, np.minimum(np.maximum(share - step, 0.0), 1.0)
         if (np.abs(share - before) < _STEP / 4).all():
             break
-    found = np.round(share / _STEP) * _STEP
-    low, high = np.maximum(found - _STEP, 0.0), np.minimum(found + _STEP, 1.0)
+    rounded = np.round(share / _STEP) * _STEP
+    low, high = np.maximum(rounded - _STEP, 0.0), np.minimum(rounded + _STEP, 1.0)
     is_low = polygon_distances(centre + away * low[..., None], vertices) <= limit
     is_high = (polygon_distances(centre + away * high[..., None], vertices) > limit) | (high == 1.0)
     return np.where(is_low & is_high, low, 0.0), np.where(is_low & is_high, high, 1.0)

@@ -102,10 +102,10 @@ def direct_url() -> dict[str, Any] | None:
     except metadata.PackageNotFoundError:
         return {"url": Path(__file__).resolve().parents[2].as_uri(), "dir_info": {"editable": True}}
     try:
-        found = json.loads(text) if text else None
+        content = json.loads(text) if text else None
     except ValueError:
         return None
-    return found if isinstance(found, dict) and isinstance(found.get("url"), str) else None
+    return content if isinstance(content, dict) and isinstance(content.get("url"), str) else None
 
 
 def requirement_of(extra: str | None, origin: dict[str, Any] | None) -> str:

@@ -44,7 +44,7 @@ from schemas.plan import Plan
 from schemas.protocol.messages import Done, Lease
 from tests.benchmarks.command import run
 from tests.benchmarks.wire import WireBench, bench_wire
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 _TTL_S = 600.0
 _SID = "bench-1"
@@ -243,7 +243,7 @@ def command(jobs: int, workers: int, sessions: int, bundle_mb: int, pullers: int
     plan = load_plan("paper").model_copy(update={"scenes": (part,)})
     with progress_bar("coordinator", 2) as tell, temporary_folder() as folder:
         catalog = open_catalog(sample_plan, folder, scene_cache())
-        with SceneRenderer() as stage:
+        with SimulationContext() as stage:
             samples = make_sample(folder / "sample", sample_plan, catalog, stage, tell)
         report = bench_coordinator(
             plan,

@@ -41,7 +41,7 @@ from schemas.base import Model
 from schemas.terms import Recording
 from tests.benchmarks.command import run
 from tests.benchmarks.synthetic import enlarge, make_synthetic
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 _SEED = 20
 _CHANGED = 50
@@ -246,7 +246,7 @@ def command(episodes: int, reads: int, out: Path | None, as_json: bool) -> None:
     plan = shrink(enlarge(load_plan("paper"), episodes), record=Recording.STATES, episodes=episodes)
     with temporary_folder() as folder, Bars(refresh_per_second=1) as bar:
         catalog = open_catalog(sample_plan, folder, scene_cache())
-        with SceneRenderer() as stage:
+        with SimulationContext() as stage:
             task = bar.add_task("bench sample", total=sample_plan.episodes)
             samples = make_sample(folder / "sample", sample_plan, catalog, stage, lambda: bar.advance(task))
         task = bar.add_task("bench dataset", total=episodes)

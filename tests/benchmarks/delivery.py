@@ -38,7 +38,7 @@ from tests.benchmarks.command import run
 from tests.benchmarks.coordinator_process import CoordinatorReady, serve_archive
 from tests.benchmarks.delivery_fleet import RecordedBundle, deliver_copies
 from tests.benchmarks.wire import process, receive, usage
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 _LEASE_S = 600.0
 _WAITING = 512
@@ -244,7 +244,7 @@ def command(episodes: int, workers: int, pullers: int, spot_checks: float, recor
     plan = shrink(narrow(load_plan(SAMPLE_PLAN), ("office",), 2), record=Recording(record) if record else None)
     with progress_bar("delivery", plan.episodes + 2) as tell, temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
-        with SceneRenderer() as stage:
+        with SimulationContext() as stage:
             samples = make_sample(folder / "sample", plan, catalog, stage, tell)
         report = bench_delivery(
             plan,

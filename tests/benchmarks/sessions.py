@@ -46,7 +46,7 @@ from schemas.storage.dataset_files import LEDGER_FILE
 from schemas.terms import Recording
 from tests.benchmarks.command import run
 from tests.benchmarks.coordinator import archiving
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 _START = datetime(2026, 1, 1, tzinfo=UTC)
 _WINDOW_S = 0.02
@@ -319,7 +319,7 @@ def command(sessions: int, cores: int, episode_s: float, lease_s: float, seconds
     plan = shrink(narrow(load_plan(SAMPLE_PLAN), ("office",), 2), record=Recording.STATES)
     with progress_bar("sample", plan.episodes) as tell, temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
-        with SceneRenderer() as stage:
+        with SimulationContext() as stage:
             samples = make_sample(folder / "sample", plan, catalog, stage, tell)
         with samples[0].path.open("rb") as file, BundleReader(file) as bundle:
             meta = bundle.meta

@@ -20,7 +20,7 @@ from factory.bench.machine import resident_mib
 from schemas.config import CameraConfig, RobotConfig, TaskConfig
 from workers.geometry.pose import Pose
 from workers.physics.world import World
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 
 def main() -> None:
@@ -28,7 +28,7 @@ def main() -> None:
     packages = [Path(argument) for argument in sys.argv[1:]]
     digests = [hashlib.sha256(package.read_bytes()).hexdigest() for package in packages]
     times = []
-    with SceneRenderer() as simulation:
+    with SimulationContext() as simulation:
         for _ in range(2):
             times = [switch(simulation, *each) for each in zip(packages, digests, strict=True)]
             sys.stdout.write(f"{len(packages)} layouts loaded, {resident_mib():.0f} MiB\n")
@@ -38,14 +38,14 @@ def main() -> None:
     sys.stdout.write(f"switch: {median:.3f} s CPU, 90 % within {high:.3f} s; at most {peak} MiB; load {load:.0f}\n")
 
 
-def switch(simulation: SceneRenderer, package: Path, sha256: str) -> float:
+def switch(simulation: SimulationContext, package: Path, sha256: str) -> float:
     """Loads a layout and renders its first frame; returns the CPU time, seconds."""
     begin = time.process_time()
     loaded = simulation.load(package, sha256)
-    x, y = map(float, loaded.scene.spawns[0])
-    simulation.renderer.load(loaded.scene, CameraConfig())
-    with World(loaded.scene, loaded.collider, RobotConfig(), TaskConfig().control_hz):
-        simulation.renderer.render(Pose.planar(x, y, 0.0, z=loaded.scene.info.floor_height_m))
+    x, y = map(float, loaded.compiled.spawns[0])
+    simulation.renderer.load(loaded.compiled, CameraConfig())
+    with World(loaded.compiled, loaded.collider, RobotConfig(), TaskConfig().control_hz):
+        simulation.renderer.render(Pose.planar(x, y, 0.0, z=loaded.compiled.info.floor_height_m))
     return time.process_time() - begin
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 
 def write_package(folder: Path, data: bytes) -> Path:
@@ -22,14 +22,14 @@ def write_package(folder: Path, data: bytes) -> Path:
 
 
 @contextmanager
-def loaded_renderer(package: Path) -> Iterator[SceneRenderer]:
+def loaded_renderer(package: Path) -> Iterator[SimulationContext]:
     """Yields a renderer with a scene package."""
-    with SceneRenderer() as renderer:
+    with SimulationContext() as renderer:
         renderer.load(package, hashlib.sha256(package.read_bytes()).hexdigest())
         yield renderer
 
 
-def first_success(jobs: Iterable[Job], renderer: SceneRenderer) -> tuple[Job, BundleReader]:
+def first_success(jobs: Iterable[Job], renderer: SimulationContext) -> tuple[Job, BundleReader]:
     """Returns the first job whose attempt succeeds, and its bundle."""
     for job in jobs:
         file = io.BytesIO()

@@ -23,7 +23,7 @@ from tests.builders.dataset import NOW
 from tests.builders.scene import box_room
 from tests.builders.shared import build_once
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 SCENE = "box_room"
 CONTROL_HZ = 30
@@ -50,7 +50,7 @@ def make_driven(root: Path, record: Recording, episodes: int = 2, expert: Expert
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(encode_scene(box_room()))
     catalog = {SCENE: read_entry(source)}
-    with open_archive(root) as archive, SceneRenderer("gl", apart=True) as stage:
+    with open_archive(root) as archive, SimulationContext("gl", apart=True) as stage:
         stage.load(source, catalog[SCENE].sha256)
         archive.add_scene(source, SCENE, catalog[SCENE].sha256)
         rows = [_archive(archive, stage, plan, catalog, planned) for planned in expand(plan, catalog)]
@@ -68,7 +68,7 @@ def driven_recordings(shared: Path) -> dict[Recording, Path]:
 
 
 def _archive(
-    archive: Archive, stage: SceneRenderer, plan: Plan, catalog: Catalog, planned: PlannedJob
+    archive: Archive, stage: SimulationContext, plan: Plan, catalog: Catalog, planned: PlannedJob
 ) -> EpisodeSummary:
     for attempt in count(1):
         job = to_job(plan, catalog, planned, attempt)

@@ -11,7 +11,7 @@ from pathlib import Path
 from coordinator.archive.opening import open_archive
 from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
-from factory.eval.models.messages import Setup
+from factory.eval.models.messages import EvalSetup
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
@@ -27,7 +27,7 @@ from tests.builders.bundle import job_for
 from tests.builders.dataset import NOW
 from tests.builders.scene import box_room
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
 TASK, ROBOT = TaskConfig(control_hz=20), RobotConfig(physics_substeps=12, max_braking_mps2=4.0)
@@ -76,7 +76,7 @@ def archive_drives(root: Path, episodes: int = 3) -> Path:
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(room_package())
     sha256 = hashlib.sha256(room_package()).hexdigest()
-    with open_archive(root) as archive, SceneRenderer("auto") as stage:
+    with open_archive(root) as archive, SimulationContext("auto") as stage:
         archive.add_scene(source, "office", sha256)
         stage.load(source, sha256)
         rows = []
@@ -95,7 +95,7 @@ def standing_still(drives: Dataset) -> Campaign:
     specs = specs_of_dataset(drives, [Split.TEST_ID])
     task = specs.settings.task.model_copy(update={"max_steps": 10})
     specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
-    return Campaign(specs, drives.root, ("stop",), (), Setup(settings=specs.settings))
+    return Campaign(specs, drives.root, ("stop",), (), EvalSetup(settings=specs.settings))
 
 
 def open_store(root: Path, campaign: Campaign) -> Store:
@@ -106,7 +106,7 @@ def open_store(root: Path, campaign: Campaign) -> Store:
     return Store(root, campaign.specs, manifest)
 
 
-def _first_success(index: int, stage: SceneRenderer, run: str, plan_digest: str) -> tuple[bytes, EpisodeMeta]:
+def _first_success(index: int, stage: SimulationContext, run: str, plan_digest: str) -> tuple[bytes, EpisodeMeta]:
     for attempt in range(1, 20):
         out = io.BytesIO()
         job = room_job(index, attempt=attempt, run=run, plan_digest=plan_digest)

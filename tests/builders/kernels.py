@@ -20,7 +20,7 @@ from workers.geometry.mask_estimate import MaskEstimate
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.context import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SimulationContext
 
 _MANY = 300
 
@@ -28,7 +28,7 @@ _MANY = 300
 def main() -> None:
     """Prints one JSON object: the name of each computation with its digest or values."""
     job, package = room_job(1), room_package()
-    with TemporaryDirectory() as folder, SceneRenderer("gl") as stage:
+    with TemporaryDirectory() as folder, SimulationContext("gl") as stage:
         path = Path(folder, "room.scene")
         path.write_bytes(package)
         stage.load(path, job.scene_sha256)
@@ -40,12 +40,12 @@ def main() -> None:
 
 def _computed(place: LoadedScene, target_id: str) -> dict[str, str]:
     rng, camera = np.random.default_rng(6), CameraConfig()
-    target = place.scene.info.target(target_id)
+    target = place.compiled.info.target(target_id)
     tracks = rng.normal(size=(_MANY, 9, 7)).astype(np.float32)
     poses = [Pose(*row) for row in rng.normal(size=(_MANY, 7))]
     views = [product(projection_matrix(camera), view_matrix(optical_pose(pose, camera))) for pose in poses]
     starts = place.grid.centre_of(rng.integers(0, min(place.grid.occupancy.shape), (_MANY, 2)))
-    look = MaskEstimate(place.scene, target.instance_id, camera).evaluate
+    look = MaskEstimate(place.compiled, target.instance_id, camera).evaluate
     return {
         "measures": _digest(str([measure_track(track, (0.3, 0.1, 0.7)) for track in tracks])),
         "views": _digest(str(np.array(views).tolist())),

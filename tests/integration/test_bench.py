@@ -35,7 +35,7 @@ from tests.builders.dataset import make_dataset
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
 from workers.render.choose import open_renderer
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 LOOP = ["start", "render", "read-back", "control", "physics", "png rgb", "depth", "png ids", "bundle", "route"]
 LEAK_MIB = 20.0
@@ -67,7 +67,7 @@ def job_in(room: Path, **changes: object) -> Job:
 @pytest.mark.gl
 def test_rollout_is_timed_by_stage_and_compared_with_the_plain_pipeline(room: Path) -> None:
     watch, told = StageRecorder(), []
-    with SceneRenderer("gl", watch) as stage:
+    with SimulationContext("gl", watch) as stage:
         found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))
     assert [cost.stage for cost in found.stages] == LOOP
     assert len(told) == 3
@@ -90,7 +90,7 @@ def test_a_scene_without_a_successful_rollout_is_reported(room: Path) -> None:
     hasty = job_in(room, task=TaskConfig(max_steps=3))
     watch = StageRecorder()
     with (
-        SceneRenderer("gl", watch) as stage,
+        SimulationContext("gl", watch) as stage,
         pytest.raises(WorldError, match=r"none of 1 jobs in box_room succeeded.*timeout"),
     ):
         bench_rollout([hasty], read_entry(room), stage, watch, 1, 0, lambda: None)

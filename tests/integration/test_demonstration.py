@@ -19,7 +19,7 @@ from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.experts.planner import STOPPED_M
 from workers.sim.attempt import AttemptFailure, Outcome, Success, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 ROOM = room_walls((-4.0, -3.0), (4.0, 3.0))
 RACK = Box((2.0, -1.3, 0.0), (2.8, 1.3, 2.0), (200, 30, 30), category="rack")
@@ -47,7 +47,7 @@ def planner_job(scene: CompiledScene, **changes: object) -> Job:
 def attempted(scene: CompiledScene, job: Job, folder: Path) -> tuple[Outcome, io.BytesIO]:
     out, path = io.BytesIO(), folder / "room.scene"
     path.write_bytes(encode_scene(scene))
-    with SceneRenderer("auto") as stage:
+    with SimulationContext("auto") as stage:
         stage.load(path, job.scene_sha256)
         return run_attempt(job, stage, out, "test", lambda _step: None), out
 

@@ -13,7 +13,7 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.eval.driving.rollout import thin_track
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.messages import Setup
+from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies.registry import renders_apart
@@ -21,11 +21,11 @@ from factory.eval.process.local_campaign import run_campaign
 from factory.eval.results.publish import publish
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign, playback_sources
-from factory.eval.specs.from_dataset import Places, specs_of_dataset
+from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
 from workers.geometry.slew import Twist
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 MINE = "tests.builders.policies"
 
@@ -47,7 +47,7 @@ def campaign_of(
     variants: Sequence[Variant] = (Variant.ORIGINAL,),
     processes: int = 1,
 ) -> Campaign:
-    limits = Setup(settings=specs.settings, act_timeout_s=2.0)
+    limits = EvalSetup(settings=specs.settings, act_timeout_s=2.0)
     return Campaign(specs, drives.root, policies, tuple(variants), limits, processes)
 
 
@@ -86,8 +86,8 @@ def test_playback_executes_the_actions_of_another_episode_and_stop_executes_none
 ) -> None:
     campaign = campaign_of(drives, short(specs, 20), "playback", "stop")
     found = drive(tmp_path, campaign)
-    others, places = playback_sources(campaign.specs), Places(drives.root)
-    with SceneRenderer() as stage, Simulator(stage, campaign.specs.settings) as simulator:
+    others, places = playback_sources(campaign.specs), LoadedScenes(drives.root)
+    with SimulationContext() as stage, Simulator(stage, campaign.specs.settings) as simulator:
         for spec, row in zip(campaign.specs.specs, found["playback"], strict=True):
             simulator.reset(spec, places.load(spec.scene, spec.scene_sha256))
             for v, w in drives[others[spec.spec_id]].actions[:20]:

@@ -10,12 +10,12 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import SpecSet
-from factory.eval.specs.from_dataset import Places, specs_of_dataset
+from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
 from schemas.errors import UsageError, WorldError
 from schemas.terms import EndReason, Split
 from workers.experts import make_expert
 from workers.geometry.slew import Twist
-from workers.sim.context import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SimulationContext
 
 
 @pytest.fixture(scope="module")
@@ -24,18 +24,18 @@ def specs(drives: Dataset) -> SpecSet:
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[SceneRenderer]:
-    with SceneRenderer("auto") as opened:
+def stage() -> Iterator[SimulationContext]:
+    with SimulationContext("auto") as opened:
         yield opened
 
 
 @pytest.fixture(scope="module")
 def place(drives: Dataset, specs: SpecSet) -> LoadedScene:
-    return Places(drives.root).load("office", specs.specs[0].scene_sha256)
+    return LoadedScenes(drives.root).load("office", specs.specs[0].scene_sha256)
 
 
 def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
-    drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: SimulationContext, place: LoadedScene
 ) -> None:
     for spec in specs.specs:
         episode = drives[spec.spec_id]
@@ -51,7 +51,7 @@ def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
 
 
 def test_an_expert_in_the_closed_loop_reproduces_its_archived_drive(
-    drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: SimulationContext, place: LoadedScene
 ) -> None:
     spec = specs.specs[1]
     with Simulator(stage, specs.settings) as simulator:
@@ -74,7 +74,7 @@ def test_specs_contain_the_drawn_start_and_the_visible_objects(drives: Dataset, 
 
 
 def test_an_episode_of_another_version_starts_at_its_first_recorded_pose(
-    drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: SimulationContext, place: LoadedScene
 ) -> None:
     x, y, yaw = drives["ep_000001"].meta.rollout.spawn_pose
     spec = specs.specs[0].model_copy(update={"spawn_pose": (x, y, yaw), "spawn_source": "frame"})
@@ -84,7 +84,7 @@ def test_an_episode_of_another_version_starts_at_its_first_recorded_pose(
 
 
 def test_speeds_out_of_range_are_clipped_and_slew_limited(
-    specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+    specs: SpecSet, stage: SimulationContext, place: LoadedScene
 ) -> None:
     with Simulator(stage, specs.settings) as simulator:
         simulator.reset(specs.specs[0], place)
@@ -97,7 +97,7 @@ def test_speeds_out_of_range_are_clipped_and_slew_limited(
 
 
 def test_an_episode_without_motion_ends_at_the_step_limit(
-    specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+    specs: SpecSet, stage: SimulationContext, place: LoadedScene
 ) -> None:
     settings = specs.settings.model_copy(update={"task": specs.settings.task.model_copy(update={"max_steps": 7})})
     with Simulator(stage, settings) as simulator:
@@ -111,7 +111,7 @@ def test_an_episode_without_motion_ends_at_the_step_limit(
 
 
 def test_a_start_inside_a_wall_is_refused_with_the_episode_name(
-    specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+    specs: SpecSet, stage: SimulationContext, place: LoadedScene
 ) -> None:
     spec = specs.specs[0].model_copy(update={"spawn_pose": (-3.95, 0.0, 0.0)})
     with (
@@ -130,7 +130,7 @@ def test_frames_are_rendered_on_demand_and_never_after_the_end_of_an_episode(
     specs: SpecSet, place: LoadedScene
 ) -> None:
     stages: list[str] = []
-    with SceneRenderer("auto", stages.append) as stage, Simulator(stage, specs.settings) as simulator:
+    with SimulationContext("auto", stages.append) as stage, Simulator(stage, specs.settings) as simulator:
         view = first = simulator.reset(specs.specs[0], place)
         for _ in range(5):
             view = simulator.step(Twist(0.5, 0.0))

@@ -25,7 +25,7 @@ from schemas.scene import encode_scene
 from schemas.terms import Split, Tier
 from tests.builders.dataset import NOW
 from tests.builders.scene import Box, build_scene, room_walls
-from workers.sim.context import SceneRenderer, prepare_scene
+from workers.sim.context import SimulationContext, prepare_scene
 
 LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
 RIGHT = Box((1.2, -1.5, 0.0), (1.8, -0.9, 0.6), (30, 30, 200), category="crate")
@@ -52,7 +52,7 @@ def make_dataset(root: Path, unique: Unique) -> Dataset:
     return Dataset(root)
 
 
-def views(specs: SpecSet, stage: SceneRenderer) -> list[tuple[bool, bool, bool, float]]:
+def views(specs: SpecSet, stage: SimulationContext) -> list[tuple[bool, bool, bool, float]]:
     """Returns four values for each spec: whether its instruction says "in front", whether the target and whether the
     other crate are in view, and the angle between the heading and the direction to the target, radians."""
     found = []
@@ -72,14 +72,14 @@ def views(specs: SpecSet, stage: SceneRenderer) -> list[tuple[bool, bool, bool, 
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[SceneRenderer]:
-    with SceneRenderer("auto") as opened:
+def stage() -> Iterator[SimulationContext]:
+    with SimulationContext("auto") as opened:
         yield opened
 
 
 @pytest.mark.parametrize("unique", ["view", "off"])
 def test_unfiltered_starts_meet_the_conditions_on_the_start_view(
-    tmp_path: Path, stage: SceneRenderer, unique: Unique
+    tmp_path: Path, stage: SimulationContext, unique: Unique
 ) -> None:
     specs = unfiltered_specs(make_dataset(tmp_path / "data", unique), [Split.TRAIN_ID], EPISODES, 7, stage)
     found = views(specs, stage)

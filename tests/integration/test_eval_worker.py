@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalRequest, EvalTask, Setup
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalRequest, EvalSetup, EvalTask
 from factory.eval.models.spec import EvalSettings
 from factory.eval.process.driver_process import DriverProcess
 from schemas.support.child import python_module
@@ -18,7 +18,7 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 def reports_on(policy: str, tmp_path: Path) -> list[SimulationReport]:
     """Runs an evaluation process with one task and returns its reports."""
     request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
-    task = EvalTask(number=1, policy=policy, request=request, setup=Setup(settings=EvalSettings()))
+    task = EvalTask(number=1, policy=policy, request=request, setup=EvalSetup(settings=EvalSettings()))
     order = SimulationOrder(
         job=job_for(1),
         scene_path=tmp_path / "no.scene",
@@ -62,7 +62,7 @@ def test_a_driver_process_is_replaced_when_the_settings_change(tmp_path: Path) -
     driver = DriverProcess()
 
     def process_for(act_timeout_s: float) -> int | None:
-        setup = Setup(settings=EvalSettings(), act_timeout_s=act_timeout_s)
+        setup = EvalSetup(settings=EvalSettings(), act_timeout_s=act_timeout_s)
         request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
         task = EvalTask(number=1, policy="stop", request=request, setup=setup)
         driver.send(DriverOrder(task=task, package=package))

@@ -22,7 +22,7 @@ from tests.builders.attempts import first_success, loaded_renderer, write_packag
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 
 def _crate(x: float, y: float) -> Box:
@@ -68,7 +68,7 @@ def stage(package):
         yield renderer
 
 
-def _episode(stage: SceneRenderer, share: float) -> tuple[Job, BundleReader]:
+def _episode(stage: SimulationContext, share: float) -> tuple[Job, BundleReader]:
     """Returns the first successful attempt and its leased job."""
     return first_success((_job(attempt, share) for attempt in range(1, 12)), stage)
 

@@ -21,7 +21,7 @@ from schemas.terms import ExpertName, Recording, Split, Tier
 from tests.builders.attempts import first_success, loaded_renderer, write_package
 from tests.builders.bundle import job_for
 from tests.builders.language import furnished_scene
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 SCENE = furnished_scene()
 CHAIR, OTHER = SCENE.info.targets[:2]
@@ -59,7 +59,7 @@ def _job(split: Split, attempt: int = 1) -> Job:
     )
 
 
-def _episode(stage: SceneRenderer, split: Split) -> BundleReader:
+def _episode(stage: SimulationContext, split: Split) -> BundleReader:
     """Returns the first successful attempt."""
     return first_success((_job(split, attempt) for attempt in range(1, 8)), stage)[1]
 

@@ -20,7 +20,7 @@ from schemas.terms import ExpertName, Recording
 from tests.builders.bundle import job_for
 from tests.builders.scene import box_room
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 pytestmark = pytest.mark.gl
 PACKAGE = encode_scene(box_room())
@@ -46,10 +46,10 @@ def renderings() -> Renderings:
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory, renderings: StageTimer) -> Iterator[SceneRenderer]:
+def stage(tmp_path_factory: pytest.TempPathFactory, renderings: StageTimer) -> Iterator[SimulationContext]:
     path = tmp_path_factory.mktemp("room") / "room.scene"
     path.write_bytes(PACKAGE)
-    with SceneRenderer("gl", renderings) as found:
+    with SimulationContext("gl", renderings) as found:
         found.load(path, SHA256)
         yield found
 
@@ -67,7 +67,7 @@ def job_in_room(record: Recording, index: int, expert: ExpertName) -> Job:
     return job_for(index, record=record, expert=expert, **values, **rate)
 
 
-def recorded(stage: SceneRenderer, job: Job) -> BundleReader:
+def recorded(stage: SimulationContext, job: Job) -> BundleReader:
     file = io.BytesIO()
     outcome = run_attempt(job, stage, file, "host-1", lambda _step: None)
     assert isinstance(outcome, Success), outcome
@@ -77,7 +77,9 @@ def recorded(stage: SceneRenderer, job: Job) -> BundleReader:
 
 
 @pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.DEPTH, ExpertName.PLANNER])
-def test_both_recordings_have_the_same_drive_and_equal_frame_digests(stage: SceneRenderer, expert: ExpertName) -> None:
+def test_both_recordings_have_the_same_drive_and_equal_frame_digests(
+    stage: SimulationContext, expert: ExpertName
+) -> None:
     for index in (1, 2, 3):
         frames, states = (recorded(stage, job_in_room(record, index, expert)) for record in Recording)
         assert (frames.has_frames, states.has_frames) == (True, False)
@@ -93,12 +95,12 @@ def test_both_recordings_have_the_same_drive_and_equal_frame_digests(stage: Scen
         assert states.meta.frame_digests == tuple(frames.meta.frame_digests[t] for t in steps)
 
 
-def test_planner_renders_only_sampled_frames_and_the_last_one(stage: SceneRenderer, renderings: Renderings) -> None:
+def test_planner_renders_only_sampled_frames_and_the_last_one(stage: SimulationContext, renderings: Renderings) -> None:
     before = renderings.count
     states = recorded(stage, job_in_room(Recording.STATES, 4, ExpertName.PLANNER))
     assert renderings.count - before <= len(states.meta.frame_digests) + 1 <= 4
 
 
-def test_a_states_recording_is_a_few_kilobytes_per_hundred_steps(stage: SceneRenderer) -> None:
+def test_a_states_recording_is_a_few_kilobytes_per_hundred_steps(stage: SimulationContext) -> None:
     states = recorded(stage, job_in_room(Recording.STATES, 5, ExpertName.PROPORTIONAL))
     assert sum(states.member_bytes().values()) < 6_000 + 80 * states.length

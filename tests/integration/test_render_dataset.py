@@ -26,7 +26,7 @@ from schemas.storage.place import digest_of
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.dataset import make_dataset
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 from workers.sim.render_recording import render_recording
 
 pytestmark = pytest.mark.gl
@@ -38,10 +38,10 @@ def frames_job(episode: BundleReader) -> Job:
 
 
 @pytest.fixture
-def stage(recordings: Recordings) -> SceneRenderer:
+def stage(recordings: Recordings) -> SimulationContext:
     dataset = Dataset(recordings[Recording.STATES])
     ((name, sha256),) = dataset.meta.scenes.items()
-    opened = SceneRenderer("gl", apart=True)
+    opened = SimulationContext("gl", apart=True)
     opened.load(next(Path(str(dataset.root)).glob(f"scenes/{name}-*.zip")), sha256)
     return opened
 
@@ -153,7 +153,7 @@ def test_damaged_states_are_not_used(copied: Path) -> None:
     assert source(job) is None
 
 
-def test_a_rendered_bundle_equals_the_recorded_one(recordings: Recordings, stage: SceneRenderer) -> None:
+def test_a_rendered_bundle_equals_the_recorded_one(recordings: Recordings, stage: SimulationContext) -> None:
     states, out = (recordings[Recording.STATES] / "episodes/ep_000002.zip").read_bytes(), io.BytesIO()
     steps: list[int] = []
     with stage:
@@ -167,14 +167,14 @@ def test_a_rendered_bundle_equals_the_recorded_one(recordings: Recordings, stage
     assert bundle.meta.rollout == wanted.rollout
 
 
-def test_states_of_another_job_are_refused(recordings: Recordings, stage: SceneRenderer) -> None:
+def test_states_of_another_job_are_refused(recordings: Recordings, stage: SimulationContext) -> None:
     states = (recordings[Recording.STATES] / "episodes/ep_000001.zip").read_bytes()
     job = frames_job(BundleReader(io.BytesIO(states))).model_copy(update={"attempt": 99})
     with stage, pytest.raises(WorldError, match="ep_000001: the states are of another job"):
         render_recording(job, stage, states, io.BytesIO(), lambda _step: None)
 
 
-def test_a_renderer_that_gives_other_frames_is_refused(recordings: Recordings, stage: SceneRenderer) -> None:
+def test_a_renderer_that_gives_other_frames_is_refused(recordings: Recordings, stage: SimulationContext) -> None:
     recorded = BundleReader(io.BytesIO((recordings[Recording.STATES] / "episodes/ep_000001.zip").read_bytes()))
     file = io.BytesIO()
     writer = BundleWriter(file)

@@ -11,7 +11,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving.live_view import live_arrays, shows_recorded_camera
-from factory.eval.models.messages import Setup
+from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies.registry import require_inputs
@@ -79,7 +79,7 @@ def open_store(root: Path, campaign: Campaign) -> Store:
 
 
 def campaign_of(drives: Dataset, specs: SpecSet, policy: str, rig: Rig | None) -> Campaign:
-    setup = Setup(settings=specs.settings, view=ViewSettings(rig=rig))
+    setup = EvalSetup(settings=specs.settings, view=ViewSettings(rig=rig))
     assert isinstance(drives.root, Path)
     return Campaign(specs, drives.root, (policy,), (Variant.ORIGINAL,), setup)
 

@@ -24,7 +24,7 @@ from tests.builders.scene import Box, build_scene, room_walls
 from workers.geometry.pose import Pose
 from workers.render import PartialRenderer
 from workers.sim.attempt import AttemptFailure, Success, is_view_clear, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 LEFT = Box((1.2, 0.9, 0.0), (1.8, 1.5, 0.6), (200, 30, 30), category="crate")
 RIGHT = Box((1.2, -1.5, 0.0), (1.8, -0.9, 0.6), (30, 30, 200), category="crate")
@@ -53,12 +53,12 @@ def _job(attempt: int, view: StartView | None, tier: Tier = Tier.NEAR) -> Job:
 def stage(tmp_path_factory):
     path: Path = tmp_path_factory.mktemp("scene") / "room.scene"
     path.write_bytes(PACKAGE)
-    with SceneRenderer() as stage:
+    with SimulationContext() as stage:
         stage.load(path, hashlib.sha256(PACKAGE).hexdigest())
         yield stage
 
 
-def _episode(stage: SceneRenderer, view: StartView | None, tier: Tier = Tier.NEAR) -> BundleReader:
+def _episode(stage: SimulationContext, view: StartView | None, tier: Tier = Tier.NEAR) -> BundleReader:
     """Returns the first successful attempt."""
     for attempt in range(1, 8):
         file = io.BytesIO()

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.eval.models.messages import Setup
+from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.process.local_campaign import run_campaign
 from factory.eval.results.store import EvalManifest, Store
@@ -54,7 +54,7 @@ def test_a_policy_that_loads_triton_is_evaluated(drives: Dataset, tmp_path: Path
     specs = specs_of_dataset(drives, [Split.TRAIN_ID])
     task = specs.settings.task.model_copy(update={"max_steps": 10})
     specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
-    setup = Setup(settings=specs.settings, renderer="gl", act_timeout_s=120.0)
+    setup = EvalSetup(settings=specs.settings, renderer="gl", act_timeout_s=120.0)
     name = "tests.builders.policies:Compiles"
     campaign = Campaign(specs, drives.root, (name,), (Variant.ORIGINAL,), setup)
     manifest = EvalManifest(run=specs.run, specs_digest=specs.digest, with_pose=False, act_timeout_s=120.0)

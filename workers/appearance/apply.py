@@ -73,8 +73,8 @@ def _relight(scene: CompiledScene, light: LightGroups | None, drawn: DrawnAppear
     if light is None:
         raise WorldError(f"scene {name} has no light groups, but its light is varied: run `factory scene light {name}`")
     if len(light.info.groups) != wanted:
-        found = f"scene {name} has {len(light.info.groups)} light groups, the appearance has {wanted}"
-        raise WorldError(f"{found}: the appearance is of another scene")
+        problem = f"scene {name} has {len(light.info.groups)} light groups, the appearance has {wanted}"
+        raise WorldError(f"{problem}: the appearance is of another scene")
     red, green, blue = gain_of(drawn.light.sky, SKY_K)
     info = _with_sky(scene.info, (red * 2**stops, green * 2**stops, blue * 2**stops))
     lit = _with_light_map(scene)
@@ -120,8 +120,8 @@ def _repaint(scene: CompiledScene, changes: tuple[SurfaceChange, ...]) -> Compil
     rows = np.flatnonzero((of_vertex >= 0) & is_changed[of_vertex])
     colours[rows] = to_colour[of_vertex[rows]]
     for part, (first, count) in enumerate(zip(scene.part_first.tolist(), scene.part_count.tolist(), strict=True)):
-        own = of_vertex[first : first + count]
-        chosen = own[own >= 0]
+        corner_colours = of_vertex[first : first + count]
+        chosen = corner_colours[corner_colours >= 0]
         if len(chosen) and layer_of[chosen].max() >= 0:
             number = chosen[np.argmax(layer_of[chosen])]
             layers[part] = layer_of[number]

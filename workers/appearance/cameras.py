@@ -106,9 +106,9 @@ def changed_camera(camera: Camera, change: CameraChange | None) -> Camera:
     try:
         return type(camera).model_validate({**camera.model_dump(), "mount": mount, **_lens(camera, change.focal)})
     except ValidationError as error:
-        found = "; ".join(item["msg"].removeprefix("Value error, ") for item in error.errors())
+        problem = "; ".join(item["msg"].removeprefix("Value error, ") for item in error.errors())
         raise UsageError(
-            f"camera {camera.name!r} does not permit {change.focal:g} times its focal length: {found}. "
+            f"camera {camera.name!r} does not permit {change.focal:g} times its focal length: {problem}. "
             "Give a smaller range camera.focal in the appearance"
         ) from error
 

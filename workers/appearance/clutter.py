@@ -90,12 +90,12 @@ def _turned(profile: tuple[tuple[float, float], ...]) -> Floats:
     angles = [2 * math.pi * k / _SIDES for k in range(_SIDES)]
     ring = np.array([(math.cos(angle), math.sin(angle)) for angle in angles])
     levels = [np.column_stack((ring * radius, np.full(_SIDES, height))) for radius, height in profile]
-    found = []
+    triangles = []
     for low, high in pairwise(levels):
         for k in range(_SIDES):
             j = (k + 1) % _SIDES
-            found += [(low[k], low[j], high[j]), (low[k], high[j], high[k])]
-    return np.array(found)
+            triangles += [(low[k], low[j], high[j]), (low[k], high[j], high[k])]
+    return np.array(triangles)
 
 
 def _ball() -> ClutterShape:
@@ -116,18 +116,18 @@ def _carton() -> ClutterShape:
 
 
 def _books() -> ClutterShape:
-    found, height = [], 0.0
+    parts, height = [], 0.0
     for size, yaw, tint in (
         ((1.0, 0.72, 0.13), 0.0, 1.0),
         ((0.86, 0.62, 0.1), 0.35, 0.75),
         ((0.8, 0.58, 0.15), -0.2, 1.1),
     ):
-        found.append(_shaded(_solid_box((size[0], size[1], 0.2 * size[2]), height, yaw), (tint,) * 3))
+        parts.append(_shaded(_solid_box((size[0], size[1], 0.2 * size[2]), height, yaw), (tint,) * 3))
         pages = (0.96 * size[0], 0.96 * size[1], 0.6 * size[2])
-        found.append(_shaded(_solid_box(pages, height + 0.2 * size[2], yaw), (1.6, 1.6, 1.55)))
-        found.append(_shaded(_solid_box((size[0], size[1], 0.2 * size[2]), height + 0.8 * size[2], yaw), (tint,) * 3))
+        parts.append(_shaded(_solid_box(pages, height + 0.2 * size[2], yaw), (1.6, 1.6, 1.55)))
+        parts.append(_shaded(_solid_box((size[0], size[1], 0.2 * size[2]), height + 0.8 * size[2], yaw), (tint,) * 3))
         height += size[2]
-    return _joined(*found)
+    return _joined(*parts)
 
 
 def _cone() -> ClutterShape:

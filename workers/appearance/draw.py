@@ -62,7 +62,9 @@ def draw_appearance(
         if materials is None
         else draw_materials(materials, stream(Factor.SURFACES), stream(Factor.FURNITURE), place.surfaces),
         camera=None if camera is None else draw_camera(camera, stream(Factor.CAMERA)),
-        clutter=() if clutter is None else place_clutter(clutter, stream(Factor.CLUTTER), place.scene, target, poses),
+        clutter=()
+        if clutter is None
+        else place_clutter(clutter, stream(Factor.CLUTTER), scene=place.scene, target=target, poses=poses),
     )
 
 

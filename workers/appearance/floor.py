@@ -38,9 +38,9 @@ class FloorTriangle(NamedTuple):
 
         The values at the corners of this triangle are interpolated linearly, and extrapolated outside of it.
         """
-        own = values[self.first : self.first + 3].astype(np.float64)
+        corner_values = values[self.first : self.first + 3].astype(np.float64)
         weights = self.weights(xy)
-        return np.asarray((weights[:, :, None] * own[None]).sum(axis=1))
+        return np.asarray((weights[:, :, None] * corner_values[None]).sum(axis=1))
 
 
 class FloorUnder:
@@ -63,8 +63,8 @@ class FloorUnder:
         inside = np.ones(len(self._triangles), bool)
         for start, end in ((a, b), (b, c), (c, a)):
             inside &= (end[:, 0] - start[:, 0]) * (y - start[:, 1]) >= (end[:, 1] - start[:, 1]) * (x - start[:, 0])
-        found = np.flatnonzero(inside)
-        if not len(found):
+        hits = np.flatnonzero(inside)
+        if not len(hits):
             return None
-        best = found[np.argmax(self._triangles[found, :, 2].max(axis=1))]
+        best = hits[np.argmax(self._triangles[hits, :, 2].max(axis=1))]
         return FloorTriangle(3 * int(self._rows[best]), int(self._parts[best]), self._triangles[best])

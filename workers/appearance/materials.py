@@ -58,12 +58,14 @@ class SceneSurfaces:
         triangles = scene.positions.reshape(-1, 3, 3).astype(np.float64)
         cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         areas = np.sqrt((cross**2).sum(axis=1)) / 2
-        own = of_vertex[::3]
-        area = np.bincount(own[own >= 0], areas[own >= 0], len(slots)).astype(np.float64)
+        triangle_colours = of_vertex[::3]
+        area = np.bincount(triangle_colours[triangle_colours >= 0], areas[triangle_colours >= 0], len(slots)).astype(
+            np.float64
+        )
         owner, triangle, weights = _points(scene, areas, cross)
         plain = _texels(scene, triangle, weights)
         base = linear_of(scene.colours[3 * triangle] / 255)
-        return cls(tuple(slots), of_vertex, area, owner, own[triangle], plain, base)
+        return cls(tuple(slots), of_vertex, area, owner, triangle_colours[triangle], plain, base)
 
     def names(self, changes: tuple[SurfaceChange, ...] = ()) -> dict[int, str]:
         """Returns the colour name of each object of a category, by instance id, after some changes of materials."""
@@ -110,10 +112,10 @@ def _surface_changes(
     All surfaces with the same texture get the same material; small surfaces keep their colour.
     """
     changes = []
-    own = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
-    total = sum(scene.area[number] for number in own)
-    for layer in sorted({scene.slots[number].layer for number in own}):
-        group = [number for number in own if scene.slots[number].layer == layer]
+    slots_of_kind = [number for number, slot in enumerate(scene.slots) if slot.surface == kind]
+    total = sum(scene.area[number] for number in slots_of_kind)
+    for layer in sorted({scene.slots[number].layer for number in slots_of_kind}):
+        group = [number for number in slots_of_kind if scene.slots[number].layer == layer]
         material = stream.choose(materials)
         largest = max(scene.area[number] for number in group)
         if largest < _MAIN_SHARE * total / 4:
@@ -195,16 +197,16 @@ def _points(scene: CompiledScene, areas: Floats, cross: Floats) -> tuple[Ints, I
 def _texels(scene: CompiledScene, triangle: Ints, weights: Floats) -> Floats:
     """Returns the linear colours (N, 3) of the texture at points of triangles; white without one."""
     layers = np.repeat(scene.part_texture, scene.part_count // 3).astype(np.int64)[triangle]
-    found = np.ones((len(triangle), 3))
+    colours = np.ones((len(triangle), 3))
     rows = np.flatnonzero(layers >= 0)
     corners = scene.uvs.reshape(-1, 3, 2)[triangle[rows]].astype(np.float64)
     uv = (corners * weights[rows][..., None]).sum(axis=1) % 1.0
     side = TEXTURE_SIZE_PX
     down, right = (np.minimum((part * side).astype(np.int64), side - 1) for part in (1 - uv[:, 1], uv[:, 0]))
     for layer in np.unique(layers[rows]):
-        own = layers[rows] == layer
-        found[rows[own]] = linear_of(scene.textures[layer][down[own], right[own]] / 255)
-    return found
+        is_layer = layers[rows] == layer
+        colours[rows[is_layer]] = linear_of(scene.textures[layer][down[is_layer], right[is_layer]] / 255)
+    return colours
 
 
 def planar_uvs(positions: NDArray[np.float32], tile_m: float) -> NDArray[np.float32]:

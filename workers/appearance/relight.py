@@ -114,13 +114,13 @@ def _encode(light: Singles, exposure: float) -> NDArray[np.uint8]:
 @functools.cache
 def _light_of_codes() -> Singles:
     """Returns the light (256,) of the codes: the inverse of the tone curve."""
-    found = []
+    lights = []
     for code in range(256):
         shown = (code / 255) ** _GAMMA
         # shown = b (1 + b / w^2) / (1 + b) is a quadratic equation in the light b
         half = (1 - shown) * _WHITE**2 / 2
-        found.append(math.sqrt(half * half + shown * _WHITE**2) - half)
-    return np.array(found, np.float32)
+        lights.append(math.sqrt(half * half + shown * _WHITE**2) - half)
+    return np.array(lights, np.float32)
 
 
 @functools.cache

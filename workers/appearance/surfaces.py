@@ -55,11 +55,12 @@ def find_slots(scene: CompiledScene) -> tuple[list[SurfaceSlot], Ints]:
     layer = np.repeat(scene.part_texture.astype(np.int64), counts)
     keys = (np.repeat(of_part, counts) << 40) | ((layer + 1) << 24) | packed
     dark = _emits(scene)[vertex]
-    found, slot = np.unique(keys[~dark], return_inverse=True)
+    keys_of_slots, slot = np.unique(keys[~dark], return_inverse=True)
     of_vertex = np.full(len(scene.positions), -1, np.int64)
     of_vertex[vertex[~dark]] = slot
     slots = [
-        SurfaceSlot(kinds[key >> 40], ((key >> 24) & 0xFFFF) - 1, f"#{key & 0xFFFFFF:06x}") for key in found.tolist()
+        SurfaceSlot(kinds[key >> 40], ((key >> 24) & 0xFFFF) - 1, f"#{key & 0xFFFFFF:06x}")
+        for key in keys_of_slots.tolist()
     ]
     return slots, of_vertex
 

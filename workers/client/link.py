@@ -123,12 +123,12 @@ class Link(Closing):
 
     def send_hello(self, hello: Hello) -> tuple[HelloReply | Refusal, ...]:
         """Registers this worker with all coordinators that answer, and returns the reply of each."""
-        found: list[HelloReply | Refusal] = []
+        replies: list[HelloReply | Refusal] = []
         for payload in self._get(any_hello_key(self._host), hello.model_dump_json(), _ASK_TIMEOUT_S):
             reply = _parse(payload, HelloReply)
             if reply is not None:
-                found.append(reply)
-        return tuple(found)
+                replies.append(reply)
+        return tuple(replies)
 
     def join(self, run: str) -> None:
         """Selects the run that all further requests refer to."""
@@ -219,8 +219,8 @@ class Link(Closing):
 def _answer(query: zenoh.Query, key: str, read: ReadChunk, unreadable: Repeated) -> None:
     with query:
         try:
-            asked = parse_bundle_ranges({name: query.parameters.get(name) or "" for name in RANGE_FIELDS})
-            query.reply(key, b"".join(map(read, asked)))
+            ranges = parse_bundle_ranges({name: query.parameters.get(name) or "" for name in RANGE_FIELDS})
+            query.reply(key, b"".join(map(read, ranges)))
             unreadable.succeed()
         except (ValueError, KeyError) as error:
             query.reply_err(f"no such bytes: {error}")

@@ -76,7 +76,7 @@ class SceneCache:
             WorldError: the bytes do not match the digest, or cannot be written.
         """
         path = self._directory / f"{sha256}{_SUFFIX}"
-        if self._ensure(path, sha256, size, fetch, wait):
+        if self._ensure(path, sha256, size=size, fetch=fetch, wait=wait):
             self._evict({path})
         return path
 
@@ -88,13 +88,13 @@ class SceneCache:
             InvalidBundle: the package is damaged at the coordinator.
         """
         path = self._directory / f"{sha256}{_SUFFIX}"
-        is_new = self._ensure(path, sha256, size, fetch, wait)
+        is_new = self._ensure(path, sha256, size=size, fetch=fetch, wait=wait)
         places = [self._texture_path(texture) for texture in self._textures.get(sha256, ())]
         if is_new or sha256 not in self._textures or not _mark_used(places):
             textures = read_info(path).textures
             places = [self._texture_path(texture.sha256) for texture in textures]
             fetched = [
-                self._ensure(place, texture.sha256, texture.size, fetch, wait)
+                self._ensure(place, texture.sha256, size=texture.size, fetch=fetch, wait=wait)
                 for place, texture in zip(places, textures, strict=True)
             ]
             with self._guard:

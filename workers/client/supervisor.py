@@ -64,11 +64,11 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
     settled: str | None = None
     with Link(settings.connect, name, settings.tls) as link:
         while True:
-            terms = _find_run(link, settings, name, sid, stop, settled)
+            terms = _find_run(link, settings, name=name, sid=sid, stop=stop, settled=settled)
             if terms is None:
                 return 0
             link.join(terms.run)
-            ending = _work_for(terms, link, settings, name, sid, stop, at_once)
+            ending = _work_for(terms, link, settings=settings, name=name, sid=sid, stop=stop, at_once=at_once)
             log.info("worker_left", run=terms.run, why=ending.value)
             is_settled = ending is Ending.FINISHED and terms.run_kind is RunKind.EVALUATION
             if not is_settled and ending is not Ending.MOVED:
@@ -124,7 +124,10 @@ class Supervisor:
             WorldError: the worker failed, e.g. because simulations do not start.
         """
         host = self._host
-        host.link.serve(host.sid, lambda asked: host.spool.read(asked.job_id, asked.fence, *asked.chunk))
+        host.link.serve(
+            host.sid,
+            lambda stop_requested: host.spool.read(stop_requested.job_id, stop_requested.fence, *stop_requested.chunk),
+        )
         log.info("worker_started", run=host.run, sid=host.sid, cores=host.settings.cores, spooled=len(host.spool))
         threads = [*self._slots, self._heartbeat_thread]
         for thread in threads:
@@ -186,9 +189,9 @@ def _find_run(
         if time.monotonic() - started > settings.wait_s:
             where = ", ".join(settings.connect)
             refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
-            found = f" ({link.last_error})" if link.last_error else ""
+            problem = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
-                f"no coordinator answered at {where} within {settings.wait_s:g} s{found}{refused}: start one with "
+                f"no coordinator answered at {where} within {settings.wait_s:g} s{problem}{refused}: start one with "
                 "`factory coordinator start`, give its endpoint with --connect, or wait longer with --connect-timeout"
             )
         stop.wait(pause.fail())

@@ -143,7 +143,9 @@ class Observation:
             image = self.depth_and_ids
         else:
             (_, left, _, _), image = renderer.render_instance(self.pose, self._instance_id)
-        return measure_mask(image.ids, image.depth, self._instance_id, self._job.gains.min_mask_px, left)
+        return measure_mask(
+            image.ids, image.depth, instance_id=self._instance_id, min_pixels=self._job.gains.min_mask_px, left=left
+        )
 
     @cached_property
     def obstacle_near(self) -> bool:

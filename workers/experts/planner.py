@@ -52,7 +52,7 @@ class PlannerExpert:
         """Plans from a start pose; returns the path, or `None` if none exists."""
         self._grid, self._target = grid, target
         pose = Waypoint(start.x, start.y, start.yaw)
-        path = plan_path(grid, pose, target, self._job.task, self._job.planner, facing=self._faces)
+        path = plan_path(grid, pose, target=target, task=self._job.task, config=self._job.planner, facing=self._faces)
         self._follower = None if path is None else Follower(path, self._job.robot, self._job.planner)
         return path
 

@@ -109,7 +109,7 @@ def _plan(camera: Camera) -> FacePlan:
     sides = _sides(rays)
     plane = _on_sides(rays, sides)
     focal = max(_finest(plane, sides), _sharpest(rays))
-    return _arrange(camera, rays, sides, plane, focal)
+    return _arrange(camera, rays, sides=sides, plane=plane, focal=focal)
 
 
 def _direct_view(camera: PinholeCamera) -> Perspective:
@@ -119,7 +119,9 @@ def _direct_view(camera: PinholeCamera) -> Perspective:
     else:
         fx, fy = camera.focal_px
         halves = camera.width / 2 / fx, camera.height / 2 / fy
-    return Perspective(camera.width, camera.height, halves, camera.centre_px, camera.near_m, camera.far_m)
+    return Perspective(
+        camera.width, camera.height, half=halves, centre=camera.centre_px, near_m=camera.near_m, far_m=camera.far_m
+    )
 
 
 def _sides(rays: Floats) -> NDArray[np.int8]:
@@ -180,7 +182,9 @@ def _arrange(camera: Camera, rays: Floats, sides: NDArray[np.int8], plane: Float
     for side, low, size, top in zip(used, lows, sizes, tops.tolist(), strict=False):
         columns, rows = map(int, size)
         half = columns / 2 / focal, rows / 2 / focal
-        view = Perspective(columns, rows, half, (float(-low[0]), float(-low[1])), near, camera.far_m)
+        view = Perspective(
+            columns, rows, half=half, centre=(float(-low[0]), float(-low[1])), near_m=near, far_m=camera.far_m
+        )
         faces.append(Face(view, _AXES[side], top))
         places[sides == side] = plane[sides == side] * focal - low + (0, top)
     sampling = _sample(camera, rays, sides, places, faces, width)
@@ -206,9 +210,9 @@ def _sample(
     return Sampling(
         (rows * width + columns).astype(np.int32),
         (first[:, 1] * width + first[:, 0]).astype(np.int32),
-        weights.astype(np.uint32),
-        _reach(camera, rays, faces, columns, rows),
-        void,
+        weights=weights.astype(np.uint32),
+        reach=_reach(camera, rays, faces, columns, rows),
+        void=void,
     )
 
 

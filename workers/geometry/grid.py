@@ -78,8 +78,8 @@ class Grid:
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
         if inside.all():
             return np.asarray(field[rows, columns])
-        found = field[np.where(inside, rows, 0), np.where(inside, columns, 0)]
-        return np.where(inside, found, field.dtype.type(outside))
+        looked_up = field[np.where(inside, rows, 0), np.where(inside, columns, 0)]
+        return np.where(inside, looked_up, field.dtype.type(outside))
 
     def clearance_at(self, xy: ArrayLike) -> Floats:
         """Returns the clearance at points (..., 2), metres; 0 outside the grid."""
@@ -169,9 +169,11 @@ class Grid:
         owner, samples = self._samples(points, centres)
         hiding = np.flatnonzero(self.values_at(self.occupancy, samples, FREE) == HIDING)
         of_hiding = owner[hiding]
-        own = (np.abs(samples[hiding] - centres[of_hiding]) <= reaches[of_hiding] + self.resolution_m).all(axis=1)
+        is_own_box = (np.abs(samples[hiding] - centres[of_hiding]) <= reaches[of_hiding] + self.resolution_m).all(
+            axis=1
+        )
         seen = np.ones(len(points), bool)
-        seen[of_hiding[~own]] = False
+        seen[of_hiding[~is_own_box]] = False
         return seen
 
     def has_sight(self, xy: ArrayLike, target: Target) -> bool:

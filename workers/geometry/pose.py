@@ -43,7 +43,7 @@ class Pose:
         if 2 * math.hypot(self.qx, self.qy) > limit_rad:
             return self
         scale = 1 / math.hypot(self.qw, self.qz)
-        return Pose(self.x, self.y, self.z, self.qw * scale, 0.0, 0.0, self.qz * scale)
+        return Pose(self.x, self.y, z=self.z, qw=self.qw * scale, qx=0.0, qy=0.0, qz=self.qz * scale)
 
     @property
     def yaw(self) -> float:

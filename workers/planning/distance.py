@@ -78,11 +78,11 @@ class FloorGraph:
         if len(nodes) == 0:
             return DistanceField(metres, nearer)
         passable = self.numbers >= 0
-        found, before, _ = scipy.sparse.csgraph.dijkstra(
+        field, before, _ = scipy.sparse.csgraph.dijkstra(
             self.edges, indices=nodes, min_only=True, return_predecessors=True, limit=limit_m
         )
         cells = np.flatnonzero(passable)
-        metres[passable] = found
+        metres[passable] = field
         nearer[passable] = np.where(before >= 0, cells[np.maximum(before, 0)], -1)
         return DistanceField(metres, nearer)
 

@@ -31,12 +31,12 @@ def kept_with_grid(
         def kept(grid: Grid, *key: *Key) -> Result:
             results: dict[Any, Result] = grid.results.setdefault(function, {})
             if key in results:
-                results[key] = found = results.pop(key)
-                return found
+                results[key] = result = results.pop(key)
+                return result
             while len(results) >= most:
                 del results[next(iter(results))]
-            results[key] = found = function(grid, *key)
-            return found
+            results[key] = result = function(grid, *key)
+            return result
 
         return functools.update_wrapper(kept, function)
 

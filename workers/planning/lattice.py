@@ -86,7 +86,10 @@ def _moves_from(heading: int) -> tuple[MotionPrimitive, ...]:
         )
         for bend in _BENDS
     )
-    turns = (MotionPrimitive(0.0, 0.0, 0.0, 0.0, (heading + turn) % HEADINGS, 0.0, 1) for turn in (1, -1))
+    turns = (
+        MotionPrimitive(0.0, 0.0, end_x=0.0, end_y=0.0, heading=(heading + turn) % HEADINGS, length_m=0.0, turn=1)
+        for turn in (1, -1)
+    )
     return (*arcs, *turns)
 
 

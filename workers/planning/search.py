@@ -143,7 +143,15 @@ def _search(
     for limit_m in limits_m:
         to_go = graph.distances(ends.cells, limit_m).metres
         if math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
-            nodes = _expand(grid, table, to_go, start, ends, max_expansions, limit_m - _LIMIT_MARGIN_M)
+            nodes = _expand(
+                grid,
+                table,
+                to_go=to_go,
+                start=start,
+                ends=ends,
+                max_expansions=max_expansions,
+                most_m=limit_m - _LIMIT_MARGIN_M,
+            )
             if nodes is not None:
                 return (start, *nodes)
     return None

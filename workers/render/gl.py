@@ -165,7 +165,7 @@ class GlRenderer(Closing):
         """
         scene = self._loaded()
         view = self._look(scene, pose)
-        window, depth_m = scene.window_of(view.drawn, instance_id, view.clip, self._camera, self._size)
+        window, depth_m = scene.window_of(view.drawn, instance_id, clip=view.clip, camera=self._camera, size=self._size)
         if window.is_empty:
             return window, DepthAndIds(np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16))
         parts = scene.parts_before(view.drawn, view.optical, edges_of(window, self._size, self._camera), depth_m)

@@ -58,11 +58,11 @@ class _Mesh(NamedTuple):
     @classmethod
     def of(cls, context: moderngl.Context, scene: CompiledScene) -> _Mesh:
         every = _interleave(scene)
-        firsts, found = _unique_rows(every)
+        firsts, inverse = _unique_rows(every)
         order = np.argsort(firsts)  # in the order of the parts, so the vertices of a part are contiguous
         rank = np.empty(len(order), np.uint32)
         rank[order] = np.arange(len(order))
-        vertices, corners = every[firsts[order]], rank[found]
+        vertices, corners = every[firsts[order]], rank[inverse]
         return cls(
             context.buffer(vertices.tobytes() or bytes(VERTEX.itemsize)), context.buffer(corners.tobytes() or bytes(4))
         )
@@ -135,8 +135,8 @@ class GpuScene:
         self, drawn: DrawOrder, instance_id: int, clip: NDArray[np.float64], camera: CameraConfig, size: int
     ) -> tuple[Window, float]:
         """Returns a window with all pixels of an instance, and the largest depth of its drawn parts in metres."""
-        own = drawn.parts[self._instances[drawn.parts] == instance_id]
-        return window_of_corners(self._bounds.corners(own), clip, camera.near_m, size)
+        own_parts = drawn.parts[self._instances[drawn.parts] == instance_id]
+        return window_of_corners(self._bounds.corners(own_parts), clip, camera.near_m, size)
 
     def parts_before(self, drawn: DrawOrder, optical: OpticalPose, edges: Edges, depth_m: float) -> NDArray[np.intp]:
         """Returns the drawn parts that may be visible between these edges up to a depth in metres, in drawing order."""
@@ -202,11 +202,11 @@ def _unique_rows(vertices: NDArray[np.void]) -> tuple[NDArray[np.intp], NDArray[
     for column in words.T:
         hashes = (hashes ^ column) * _HASH_STEP
         hashes ^= hashes >> _HASH_SHIFT
-    _, firsts, found = np.unique(hashes, return_index=True, return_inverse=True)
-    if np.array_equal(words[firsts[found]], words):
-        return firsts, found
-    _, firsts, found = np.unique(vertices.view(f"V{VERTEX.itemsize}"), return_index=True, return_inverse=True)
-    return firsts, found
+    _, firsts, unique_rows = np.unique(hashes, return_index=True, return_inverse=True)
+    if np.array_equal(words[firsts[unique_rows]], words):
+        return firsts, unique_rows
+    _, firsts, unique_rows = np.unique(vertices.view(f"V{VERTEX.itemsize}"), return_index=True, return_inverse=True)
+    return firsts, unique_rows
 
 
 def _has_flat_colours(scene: CompiledScene) -> bool:

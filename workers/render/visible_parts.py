@@ -211,9 +211,9 @@ class Occluders:
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
         areas = np.linalg.norm(across, axis=1)
         large = areas >= _LEAST_AREA_M2
-        found = cls(corners[large], across[large] / areas[large, None], areas[large])
-        useful = found._have_parts_behind(PartBounds.of(scene))  # excludes outer walls, which hide nothing
-        return cls(found.corners[useful], found.normals[useful], found.areas[useful])
+        occluders = cls(corners[large], across[large] / areas[large, None], areas[large])
+        useful = occluders._have_parts_behind(PartBounds.of(scene))  # excludes outer walls, which hide nothing
+        return cls(occluders.corners[useful], occluders.normals[useful], occluders.areas[useful])
 
     def _have_parts_behind(self, bounds: PartBounds) -> NDArray[np.bool_]:
         parts = np.isfinite(bounds.half).all(axis=1)  # excludes parts without vertices, which have infinite extents
@@ -287,15 +287,15 @@ def _rectangles(first: NDArray[np.float64], second: NDArray[np.float64]) -> F64:
     same: NDArray[np.bool_] = np.asarray((np.abs(first[:, :, None] - second[:, None]) < _SAME_M).all(axis=3))
     is_pair = same.sum(axis=(1, 2)) == 2
     first, second, same = first[is_pair], second[is_pair], same[is_pair]
-    own, other = (~same.any(axis=2)).argmax(axis=1), (~same.any(axis=1)).argmax(axis=1)
+    first_other, other = (~same.any(axis=2)).argmax(axis=1), (~same.any(axis=1)).argmax(axis=1)
     rows = np.arange(len(first))
     # unshared corner of the first triangle, its next corner, unshared corner of the second, its previous corner
     corners = np.stack(
         (
-            first[rows, own],
-            first[rows, (own + 1) % 3],
+            first[rows, first_other],
+            first[rows, (first_other + 1) % 3],
             second[rows, other],
-            first[rows, (own + 2) % 3],
+            first[rows, (first_other + 2) % 3],
         ),
         axis=1,
     )

@@ -54,7 +54,7 @@ def sense_depth(camera: Camera, depth: Singles, key: NoiseKey, step: int) -> Sin
     if noise is None:
         return depth
     assert isinstance(camera, PinholeCamera), "the model of the camera has been validated"
-    return noisy_depth(depth, noise, camera.focal_px[0], key, step)
+    return noisy_depth(depth, noise, focal_px=camera.focal_px[0], key=key, step=step)
 
 
 _CODES = 256

@@ -86,7 +86,9 @@ def observe(
         WorldError: this machine cannot render.
     """
     if isinstance(sensor, Lidar2d | Lidar3d):
-        return sense_lidar(scene.rays(), sensor, track.poses, t, track.control_hz, track.key(sensor))
+        return sense_lidar(
+            scene.rays(), sensor, poses=track.poses, step=t, control_hz=track.control_hz, key=track.key(sensor)
+        )
     return observe_camera(sensor, t, track, scene)
 
 
@@ -97,9 +99,9 @@ def observe_camera(camera: Camera, t: int, track: Trajectory, scene: Surrounding
     return CameraMeasurement(
         _colour(camera, t, track, scene, image.rgb) if CameraOutput.RGB in wanted else None,
         sense_depth(camera, image.depth, key, t) if CameraOutput.DEPTH in wanted else None,
-        image.ids if CameraOutput.IDS in wanted else None,
-        image.normals,
-        _flow(camera, t, track, image) if CameraOutput.FLOW in wanted else None,
+        ids=image.ids if CameraOutput.IDS in wanted else None,
+        normals=image.normals,
+        flow=_flow(camera, t, track, image) if CameraOutput.FLOW in wanted else None,
     )
 
 

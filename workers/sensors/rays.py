@@ -43,21 +43,21 @@ class SceneRays:
         """
         eyes, ways = origins.astype(np.float32), directions.astype(np.float32)
         lengths = np.full(len(eyes), reach_m, np.float32)
-        found = self._caster.first_triangles(eyes, ways, lengths)
-        distances, slants = self._meet(found, origins, directions)
-        passed = self._backs(found, slants)
+        triangles = self._caster.first_triangles(eyes, ways, lengths)
+        distances, slants = self._meet(triangles, origins, directions)
+        passed = self._backs(triangles, slants)
         for behind in _BEHIND_M:
             if not len(passed):
                 break
             gone = (distances[passed] + behind).astype(np.float32)
             eyes[passed] = origins[passed] + gone[:, None] * ways[passed]
             met = self._caster.first_triangles(eyes[passed], ways[passed], lengths[passed] - gone)
-            found[passed] = met
+            triangles[passed] = met
             distances[passed], slants[passed] = self._meet(met, origins[passed], directions[passed])
             passed = passed[self._backs(met, slants[passed])]
-        found[passed] = -1
-        is_hit = found >= 0
-        ids = self._ids.take(found, mode="clip") * is_hit
+        triangles[passed] = -1
+        is_hit = triangles >= 0
+        ids = self._ids.take(triangles, mode="clip") * is_hit
         return RayHits((distances * is_hit).astype(np.float32), ids, (np.abs(slants) * is_hit).astype(np.float32))
 
     def _meet(self, met: NDArray[np.int32], origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
@@ -82,14 +82,16 @@ def _unit_normals(triangles: Singles) -> Floats:
 
 def _two_sided(triangles: Singles, normals: Floats) -> Bools:
     """Returns whether another triangle at the place of each triangle faces the other way, as in a sheet of paper."""
-    found, is_first = np.zeros(len(triangles), bool), _dot(normals.T, _TILTED) > 0
+    is_two_sided, is_first = np.zeros(len(triangles), bool), _dot(normals.T, _TILTED) > 0
     for half in (is_first, ~is_first):
-        own, others = normals[half].astype(np.float32), triangles[~half]
-        if len(own) and len(others):
-            centres = triangles[half].mean(axis=1) + _SAME_M * own
-            met = Caster(others).first_triangles(centres, -own, np.full(len(own), 2 * _SAME_M, np.float32))
-            found[half] = (met >= 0) & (_dot(normals[~half][met].T, own.T) < -0.99)
-    return found
+        half_normals, others = normals[half].astype(np.float32), triangles[~half]
+        if len(half_normals) and len(others):
+            centres = triangles[half].mean(axis=1) + _SAME_M * half_normals
+            met = Caster(others).first_triangles(
+                centres, -half_normals, np.full(len(half_normals), 2 * _SAME_M, np.float32)
+            )
+            is_two_sided[half] = (met >= 0) & (_dot(normals[~half][met].T, half_normals.T) < -0.99)
+    return is_two_sided
 
 
 def _dot(left: Floats | Sequence[Floats], right: Floats | Singles) -> Floats:

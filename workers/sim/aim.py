@@ -24,12 +24,12 @@ from workers.render import Renderer, as_partial
 from workers.sim.context import LoadedScene
 
 
-def write_instruction(job: Job, place: LoadedScene, start: Pose) -> Instruction | None:
+def write_instruction(job: Job, scene: LoadedScene, start: Pose) -> Instruction | None:
     """Returns the instruction of a job from its start pose; the result depends on job, scene and pose only.
 
     Args:
         job: job with parameters of the language.
-        place: scene of the job.
+        scene: scene of the job.
         start: pose of base_link at rest.
 
     Returns:
@@ -40,24 +40,26 @@ def write_instruction(job: Job, place: LoadedScene, start: Pose) -> Instruction 
     from schemas.language.compose import composer_of  # imported here, because it imports scipy
     from schemas.language.graph.view import look
 
-    scene = place.language
-    view = look(scene.graph, (start.x, start.y, start.yaw), job.camera)
-    number, held_out = scene.graph.number_of[job.target_id], job.split.is_paraphrased
+    language = scene.language
+    view = look(language.graph, (start.x, start.y, start.yaw), job.camera)
+    number, held_out = language.graph.number_of[job.target_id], job.split.is_paraphrased
     composer, rng = composer_of(job.language), job.language_rng()
     if job.is_false_premise:
-        return composer.write_false_premise(scene, view, number, held_out, rng)
-    found = composer.write(scene, view, number, held_out, rng)
-    return found[0] if found else None
+        return composer.write_false_premise(language, view, number=number, held_out=held_out, rng=rng)
+    instructions = composer.write(language, view, number, held_out, rng)
+    return instructions[0] if instructions else None
 
 
-def write_questions(job: Job, place: LoadedScene, poses: Floats, said: Instruction | None) -> tuple[Question, ...]:
+def write_questions(
+    job: Job, scene: LoadedScene, poses: Floats, instruction: Instruction | None
+) -> tuple[Question, ...]:
     """Returns the questions about an episode; the result depends on job, scene and poses only.
 
     Args:
         job: job with parameters of the language.
-        place: scene of the job.
+        scene: scene of the job.
         poses: (T, 7) recorded poses of base_link.
-        said: instruction of the episode.
+        instruction: instruction of the episode.
     """
     if job.language is None or not job.language.questions:
         return ()
@@ -65,11 +67,11 @@ def write_questions(job: Job, place: LoadedScene, poses: Floats, said: Instructi
     from schemas.language.question.compose import AskedEpisode, QuestionComposer
     from schemas.language.route.steps import SceneRoutes
 
-    goals = () if said is None or said.kind is not InstructionKind.GOAL else (said,)
-    asked = AskedEpisode(poses, place.language.graph.number_of[job.target_id], goals, job.is_false_premise)
+    goals = () if instruction is None or instruction.kind is not InstructionKind.GOAL else (instruction,)
+    episode = AskedEpisode(poses, scene.language.graph.number_of[job.target_id], goals, job.is_false_premise)
     composer = QuestionComposer(composer_of(job.language))
-    routes, rng = SceneRoutes(place.language, job.camera), job.question_rng()
-    return tuple(composer.write(routes, asked, job.split.is_paraphrased, rng))
+    routes, rng = SceneRoutes(scene.language, job.camera), job.question_rng()
+    return tuple(composer.write(routes, episode, job.split.is_paraphrased, rng))
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class EpisodeAim:
     job: Job
     """Job with this target."""
     target: Target
-    said: Instruction | None
+    instruction: Instruction | None
     """Verified instruction; `None` if the job has a template."""
     choices: tuple[int, ...] = ()
     """Ids of the objects that could be the target; empty if the plan names it."""
@@ -100,19 +102,27 @@ def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> 
     if view.choice is not None:
         return bool(_choices(job, info, renderer, pose))
     target = info.target(job.target_id)
-    own = target.instance_id
+    instance_id = target.instance_id
     x, y, _ = target.centroid_m
     bearing_rad = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, 2 * math.pi)
     if view.within_rad is not None and abs(bearing_rad) > view.within_rad:
         return False
     parts = as_partial(renderer)
     if parts is not None:
-        is_shown = target_in_view(parts.render_instance(pose, own)[1].ids, own, least)
+        is_shown = target_in_view(parts.render_instance(pose, instance_id)[1].ids, instance_id, least)
         is_wanted = is_shown or not view.shows_target
         if not (is_wanted and ((view.other_referents or view.least_same_category) if is_shown else view.same_category)):
             return is_wanted
     image = renderer.render_depth_and_ids(pose)
-    return not start_view_findings(view, own, bearing_rad, image.ids, image.depth, job.camera, least)
+    return not start_view_findings(
+        view,
+        instance_id,
+        bearing_rad=bearing_rad,
+        ids=image.ids,
+        depth=image.depth,
+        camera=job.camera,
+        min_pixels=least,
+    )
 
 
 def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple[Target, ...]:
@@ -121,11 +131,11 @@ def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple
     candidates, start, least = candidates_of(job, info), (pose.x, pose.y, pose.yaw), job.start_view.least_same_category
     if not may_exchange(job, candidates, start, least + 1):
         return ()
-    found = exchangeable_targets(job, candidates, start, renderer.render_depth_and_ids(pose).ids)
-    return found if len(found) > least else ()
+    choices = exchangeable_targets(job, candidates, start, renderer.render_depth_and_ids(pose).ids)
+    return choices if len(choices) > least else ()
 
 
-def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
+def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
     """Returns the target and the sentence of an episode that starts at a pose.
 
     If the target is drawn at the start, each object that could be the target must have a sentence and a path.
@@ -133,7 +143,7 @@ def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
 
     Args:
         job: job of the episode.
-        place: scene of the job.
+        scene: scene of the job.
         renderer: renderer with the scene loaded.
         pose: pose of base_link at rest, whose view is clear.
 
@@ -142,28 +152,30 @@ def find_aim(job: Job, place: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
         no path or is not in view at the end of its path.
     """
     if job.choice is None:
-        said = write_instruction(job, place, pose)
-        is_missing = said is None and job.language is not None
-        return None if is_missing else EpisodeAim(job, place.scene.info.target(job.target_id), said)
-    targets = _choices(job, place.scene.info, renderer, pose)
-    aims = [_exchangeable_aim(job, target, targets, place, renderer, pose) for target in targets]
+        instruction = write_instruction(job, scene, pose)
+        is_missing = instruction is None and job.language is not None
+        return None if is_missing else EpisodeAim(job, scene.compiled.info.target(job.target_id), instruction)
+    targets = _choices(job, scene.compiled.info, renderer, pose)
+    aims = [
+        _exchangeable_aim(job, target, targets=targets, scene=scene, renderer=renderer, pose=pose) for target in targets
+    ]
     return job.choice.of(aims) if aims and all(aims) else None
 
 
 def _exchangeable_aim(
-    job: Job, target: Target, targets: tuple[Target, ...], place: LoadedScene, renderer: Renderer, pose: Pose
+    job: Job, target: Target, targets: tuple[Target, ...], scene: LoadedScene, renderer: Renderer, pose: Pose
 ) -> EpisodeAim | None:
     """Returns the aim with this target; `None` if it has no sentence or path, or is not in view at the path's end."""
-    own = job.aimed_at(target)
-    said = write_instruction(own, place, pose)
-    planned = None if said is None else make_expert(own).begin(pose, place.grid, target)
-    if planned is None or not ends_in_view(own, target, place, renderer, planned):
+    aimed_job = job.aimed_at(target)
+    instruction = write_instruction(aimed_job, scene, pose)
+    planned = None if instruction is None else make_expert(aimed_job).begin(pose, scene.grid, target)
+    if planned is None or not ends_in_view(aimed_job, target, scene=scene, renderer=renderer, planned=planned):
         return None
-    return EpisodeAim(own, target, said, tuple(each.instance_id for each in targets))
+    return EpisodeAim(aimed_job, target, instruction, tuple(each.instance_id for each in targets))
 
 
 def ends_in_view(
-    job: Job, target: Target, place: LoadedScene, renderer: Renderer, planned: tuple[Waypoint, ...]
+    job: Job, target: Target, scene: LoadedScene, renderer: Renderer, planned: tuple[Waypoint, ...]
 ) -> bool:
     """Returns whether the target is in view at the end of a planned path.
 
@@ -174,5 +186,5 @@ def ends_in_view(
         return True
     goal = Goal.of(target, job.task)
     x, y, yaw = arrival_pose(planned, goal, goal.radius_m - STOPPED_M)
-    end = Pose.planar(x, y, yaw, z=place.scene.info.floor_height_m)
+    end = Pose.planar(x, y, yaw, z=scene.compiled.info.floor_height_m)
     return target_in_view(renderer.render_depth_and_ids(end).ids, target.instance_id, job.gains.min_mask_px)

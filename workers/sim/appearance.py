@@ -21,7 +21,7 @@ from workers.sim.context import LoadedScene
 class RenderedScene(NamedTuple):
     """Scene of an episode as it is rendered."""
 
-    place: LoadedScene
+    scene: LoadedScene
     """Scene with its appearance; the collider is that of the scene without clutter."""
     renderer: Renderer
     """Renderer with that scene loaded; it applies the change of the cameras to the recorded camera."""
@@ -31,7 +31,7 @@ class RenderedScene(NamedTuple):
     @property
     def instances(self) -> tuple[Instance, ...]:
         """Instances that the ids refer to, clutter included."""
-        return self.place.scene.info.instances
+        return self.scene.compiled.info.instances
 
     @property
     def change(self) -> CameraChange | None:
@@ -39,14 +39,14 @@ class RenderedScene(NamedTuple):
 
 
 def show_appearance(
-    job: Job, ranges: Appearance | None, place: LoadedScene, renderer: Renderer, poses: NDArray[np.float64]
+    job: Job, ranges: Appearance | None, scene: LoadedScene, renderer: Renderer, poses: NDArray[np.float64]
 ) -> RenderedScene:
     """Draws the appearance of an episode, and loads its scene and camera; without ranges, the scene as it was compiled.
 
     Args:
         job: job of the episode.
         ranges: ranges of the appearance.
-        place: scene of the job.
+        scene: scene of the job.
         renderer: open renderer.
         poses: (T, 7) poses of base_link, from which clutter keeps its distance.
 
@@ -54,14 +54,16 @@ def show_appearance(
         WorldError: the light is varied, and the scene has no light groups.
     """
     if ranges is None:
-        renderer.load(place.scene, job.camera)
-        return RenderedScene(place, renderer)
-    if ranges.light is not None and place.light is None:
+        renderer.load(scene.compiled, job.camera)
+        return RenderedScene(scene, renderer)
+    if ranges.light is not None and scene.light is None:
         raise WorldError(f"the light groups of scene {job.scene} are missing: run `factory scene light {job.scene}`")
-    target = place.scene.info.target(job.target_id)
-    drawn = draw_appearance(ranges, job.root_seed, job.index, place.appearance, target, poses)
-    scene = apply_appearance(place.scene, place.light, drawn) if drawn.changes_scene else place.scene
-    renderer.load(scene, job.camera)
+    target = scene.compiled.info.target(job.target_id)
+    drawn = draw_appearance(
+        ranges, job.root_seed, episode=job.index, place=scene.appearance, target=target, poses=poses
+    )
+    compiled = apply_appearance(scene.compiled, scene.light, drawn) if drawn.changes_scene else scene.compiled
+    renderer.load(compiled, job.camera)
     if drawn.camera is not None:
         renderer = ShiftedRenderer(renderer, job.camera, drawn.camera, FRAME_SIZE_PX)
-    return RenderedScene(replace(place, scene=scene), renderer, drawn)
+    return RenderedScene(replace(scene, compiled=compiled), renderer, drawn)

@@ -25,7 +25,7 @@ from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
 from workers.sim.aim import EpisodeAim, ends_in_view, find_aim, is_view_clear, start_target, write_questions
 from workers.sim.appearance import show_appearance
-from workers.sim.context import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SimulationContext
 from workers.sim.recording import LoadedSurroundings, add_frames, add_measurements, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.spawn import draw_poses, is_spawn_stable
@@ -61,8 +61,8 @@ class _Attempt:
     """Data of an attempt whose start pose was accepted."""
 
     aim: EpisodeAim
-    place: LoadedScene
-    stage: SceneRenderer
+    scene: LoadedScene
+    context: SimulationContext
     out: BinaryIO
     """File that the bundle is written to."""
     sid: str
@@ -70,39 +70,43 @@ class _Attempt:
     on_step: Callable[[int], None]
 
 
-def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step: Callable[[int], None]) -> Outcome:
+def run_attempt(
+    job: Job, context: SimulationContext, out: BinaryIO, sid: str, on_step: Callable[[int], None]
+) -> Outcome:
     """Simulates one attempt and streams its bundle into `out`.
 
     Args:
         job: job to simulate; it seeds all random choices.
-        stage: renderer and scenes; the scene of the job must be loaded.
+        context: renderer and scenes; the scene of the job must be loaded.
         out: seekable file, opened for writing.
         sid: session id of the worker, for the provenance.
         on_step: called after each step with the number of steps.
     """
-    place = stage.loaded(job.scene_sha256)
-    target = start_target(job, place.scene.info)
+    scene = context.loaded(job.scene_sha256)
+    target = start_target(job, scene.compiled.info)
     rng = job.rng()
-    stage.renderer.load(place.scene, job.camera)  # loaded before the world is built, because both can need much memory
-    is_clear = partial(is_view_clear, job, place.scene.info, stage.renderer)
-    for draws, start in enumerate(draw_poses(job, target, place, rng, is_clear), 1):
-        with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
+    context.renderer.load(
+        scene.compiled, job.camera
+    )  # loaded before the world is built, because both can need much memory
+    is_clear = partial(is_view_clear, job, scene.compiled.info, context.renderer)
+    for draws, start in enumerate(draw_poses(job, target, scene=scene, rng=rng, accepts=is_clear), 1):
+        with World(scene.compiled, scene.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue
-            aim = find_aim(job, place, stage.renderer, world.pose())
+            aim = find_aim(job, scene, context.renderer, world.pose())
             if aim is None:
                 continue
-            attempt = _Attempt(aim, place, stage, out, sid, on_step)
+            attempt = _Attempt(aim, scene, context=context, out=out, sid=sid, on_step=on_step)
             expert = make_expert(aim.job)
-            planned = expert.begin(world.pose(), place.grid, aim.target)
+            planned = expert.begin(world.pose(), scene.grid, aim.target)
             if planned is None:
                 return AttemptFailure(
                     FailReason.NO_PATH, f"no drivable path to {aim.job.target_id} from {_pose_text(start)}", 0
                 )
-            if not ends_in_view(aim.job, aim.target, place, stage.renderer, planned):
+            if not ends_in_view(aim.job, aim.target, scene=scene, renderer=context.renderer, planned=planned):
                 detail = f"the path from {_pose_text(start)} ends without {aim.job.target_id} in view"
                 return AttemptFailure(FailReason.NOT_IN_VIEW, detail, 0)
-            return _drive_and_seal(attempt, world, expert, planned, draws)
+            return _drive_and_seal(attempt, world, expert=expert, planned=planned, draws=draws)
     is_free = job.start_view is None and job.language is None
     conditions = "" if is_free else ", whose view meets the conditions of the instruction,"
     tries = f"in tier {job.tier} in {job.spawn.physics_draws} draws"
@@ -121,43 +125,50 @@ def _drive_and_seal(
     draws: int,
 ) -> Outcome:
     """Drives from the robot's current pose; completes the bundle after a success, else returns the failure."""
-    aim, place, stage = attempt.aim, attempt.place, attempt.stage
+    aim, scene, context = attempt.aim, attempt.scene, attempt.context
     job, target = aim.job, aim.target
     start = world.pose()
-    stage.timer("start")
-    done = drive(job, target, world, stage.renderer, expert, attempt.on_step, stage.timer)
-    poses = done.arrays.poses
-    if done.end_reason is not EndReason.SUCCESS:
-        return AttemptFailure(FailReason(done.end_reason), done.end, len(poses))
+    context.timer("start")
+    rollout = drive(job, target, world, context.renderer, expert, attempt.on_step, context.timer)
+    poses = rollout.arrays.poses
+    if rollout.end_reason is not EndReason.SUCCESS:
+        return AttemptFailure(FailReason(rollout.end_reason), rollout.end, len(poses))
     # frames are rendered after the success only, because those of a failed attempt would be discarded
-    writer, shown = BundleWriter(attempt.out, stage.timer), None
+    writer, shown = BundleWriter(attempt.out, context.timer), None
     if job.record is Recording.STATES:
-        add_sampled_digests(writer, stage.renderer, job, poses)
+        add_sampled_digests(writer, context.renderer, job, poses)
     else:
         tell = partial(attempt.on_step, len(poses))
-        shown = show_appearance(job, job.view.appearance, place, stage.renderer, poses)
-        visible = add_frames(writer, shown.renderer, job, poses, target.instance_id, lambda _frames: tell())
-        done = replace(done, steps_visible=visible)
-        scene = LoadedSurroundings(shown.place, stage.renderer)
-        add_measurements(writer, scene, job, done.arrays, tell, shown.change)
-    reach_m = None if job.is_false_premise else geodesic_m(place.grid, (start.x, start.y), target, job.task)
-    stage.timer("route")
+        shown = show_appearance(job, job.view.appearance, scene=scene, renderer=context.renderer, poses=poses)
+        visible = add_frames(
+            writer,
+            shown.renderer,
+            job=job,
+            poses=poses,
+            instance_id=target.instance_id,
+            on_frame=lambda _frames: tell(),
+        )
+        rollout = replace(rollout, steps_visible=visible)
+        surroundings = LoadedSurroundings(shown.scene, context.renderer)
+        add_measurements(writer, surroundings, job=job, arrays=rollout.arrays, on_measurement=tell, change=shown.change)
+    reach_m = None if job.is_false_premise else geodesic_m(scene.grid, (start.x, start.y), target, job.task)
+    context.timer("route")
     route = Route(geodesic_m=reach_m, planned=planned)
-    provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
-    meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
-    if aim.said is not None:
-        asked = write_questions(job, place, poses, aim.said)
-        said = {"language": aim.said, "phrase_is_unique": aim.said.fits == 1, "questions": asked}
-        meta = meta.model_copy(update={**said, "choices": aim.choices})
+    provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=context.fingerprint)
+    meta = describe_episode(job, target, scene.compiled.info, rollout, route, draws, provenance)
+    if aim.instruction is not None:
+        questions = write_questions(job, scene, poses, aim.instruction)
+        language = {"language": aim.instruction, "phrase_is_unique": aim.instruction.fits == 1, "questions": questions}
+        meta = meta.model_copy(update={**language, "choices": aim.choices})
     if shown is not None:
         meta = meta.model_copy(update={"instances": shown.instances, "appearance": shown.drawn})
-    sealed = writer.finish(done.arrays, meta)
-    stage.timer("bundle")
+    sealed = writer.finish(rollout.arrays, meta)
+    context.timer("bundle")
     return Success(sealed)
 
 
 def describe_episode(
-    job: Job, target: Target, info: SceneInfo, done: Drive, route: Route, draws: int, provenance: Provenance
+    job: Job, target: Target, info: SceneInfo, rollout: Drive, route: Route, draws: int, provenance: Provenance
 ) -> EpisodeMeta:
     """Returns the metadata of a successful episode, without digests."""
     return EpisodeMeta(
@@ -169,7 +180,7 @@ def describe_episode(
         target_centroid_m=target.centroid_m,
         target_footprint_m=target.footprint_m,
         phrase_is_unique=len(referents_of(job, info)) == 1,
-        rollout=_summarise(done.arrays, target, done, draws),
+        rollout=_summarise(rollout.arrays, target, rollout, draws),
         route=route,
         instances=info.instances if job.record is Recording.FRAMES else (),
         frame_digests=(),
@@ -178,10 +189,10 @@ def describe_episode(
     )
 
 
-def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -> Rollout:
+def _summarise(arrays: EpisodeArrays, target: Target, rollout: Drive, draws: int) -> Rollout:
     track = measure_track(arrays.poses, target.centroid_m, target.footprint_m)
     return Rollout(
-        end_reason=done.end_reason,
+        end_reason=rollout.end_reason,
         num_steps=len(arrays.poses),
         spawn_pose=track.spawn_pose,
         spawn_dist_m=track.spawn_dist_m,
@@ -190,9 +201,9 @@ def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -
         final_ne_m=track.final_ne_m,
         final_ne_3d_m=track.final_ne_3d_m,
         min_ne_m=track.min_ne_m,
-        collision_count=done.contact_steps,
-        steps_visible=done.steps_visible,
+        collision_count=rollout.contact_steps,
+        steps_visible=rollout.steps_visible,
         spawn_surface_m=track.spawn_surface_m,
         final_surface_m=track.final_surface_m,
-        target_in_view=done.target_in_view,
+        target_in_view=rollout.target_in_view,
     )

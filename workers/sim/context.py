@@ -65,7 +65,7 @@ def _cpu_model() -> str:
 class LoadedScene:
     """Compiled scene with its derived data."""
 
-    scene: CompiledScene
+    compiled: CompiledScene
     """The compiled scene."""
     grid: Grid
     """Occupancy grid of the scene."""
@@ -77,7 +77,7 @@ class LoadedScene:
     @functools.cached_property
     def appearance(self) -> AppearanceScene:
         """The scene with its light groups, from which the appearance of an episode is drawn."""
-        return AppearanceScene(self.scene, self.light)
+        return AppearanceScene(self.compiled, self.light)
 
     @functools.cached_property
     def language(self) -> SceneLanguage:
@@ -85,7 +85,7 @@ class LoadedScene:
         from schemas.language.graph.scene_graph import build_graph
         from schemas.language.scene import SceneLanguage
 
-        return SceneLanguage(build_graph(self.scene))
+        return SceneLanguage(build_graph(self.compiled))
 
     @functools.cached_property
     def rays(self) -> SceneRays:
@@ -97,20 +97,20 @@ class LoadedScene:
         require_package("embreex", "a lidar")
         from workers.sensors.rays import SceneRays
 
-        return SceneRays(self.scene)
+        return SceneRays(self.compiled)
 
     def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
         """Returns whether the body centre is on the connected floor at each of the base_link poses."""
-        return self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0).astype(bool)
+        return self.grid.values_at(self.compiled.reachable, body_centre(x, y, yaw), 0).astype(bool)
 
     @functools.cached_property
     def taken(self) -> NDArray[np.float64]:
         """(K, 2, 2) lower and upper corners x, y of the floor areas that targets cover, metres; no episode starts in
         them, for instance under a shelf."""
-        return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
+        return np.array([target.taken_m for target in self.compiled.info.targets]).reshape(-1, 2, 2)
 
 
-class SceneRenderer(Closing):
+class SimulationContext(Closing):
     """Renderer with an LRU cache of loaded scenes."""
 
     def __init__(

@@ -76,8 +76,8 @@ _EXCESS = 1.1
 class LoadedSurroundings:
     """Scene of an episode for cameras and lidars: an open renderer with the scene, and its ray caster."""
 
-    def __init__(self, place: LoadedScene, renderer: Renderer) -> None:
-        self._place, self._renderer = place, renderer
+    def __init__(self, scene: LoadedScene, renderer: Renderer) -> None:
+        self._scene, self._renderer = scene, renderer
 
     def render_camera(self, pose: Pose, camera: Camera) -> CameraImage:
         """Returns the image of a camera, without noise, for a pose of base_link."""
@@ -85,7 +85,7 @@ class LoadedSurroundings:
 
     def rays(self) -> RayCaster:
         """Returns the ray caster of the scene; raises `UsageError` if embreex is not installed."""
-        return self._place.rays
+        return self._scene.rays
 
 
 def add_measurements(
@@ -113,19 +113,23 @@ def add_measurements(
     if job.view.rig is None:
         return
     track = Trajectory(
-        arrays.poses, arrays.actions_continuous.astype(np.float64), job.task.control_hz, job.root_seed, job.index
+        arrays.poses,
+        arrays.actions_continuous.astype(np.float64),
+        control_hz=job.task.control_hz,
+        seed=job.root_seed,
+        episode=job.index,
     )
     require_room(job.view.rig, track, scene, MAX_BUNDLE_BYTES, change)
     for sensor in job.view.rig.sensors:
         for t, _specs in measurements_of(sensor, len(arrays.poses), job.task.control_hz):
-            found: Measurement
+            measurement: Measurement
             if isinstance(sensor, Imu | WheelOdometry):
-                found = measure(sensor, track)
+                measurement = measure(sensor, track)
             else:
                 assert t is not None, "a measurement of a camera or lidar needs a step"
-                found = observe(changed_sensor(sensor, change), t, track, scene)
+                measurement = observe(changed_sensor(sensor, change), t, track, scene)
             try:
-                writer.add_measurement(sensor, t, arrays_in(found))
+                writer.add_measurement(sensor, t, arrays_in(measurement))
             except ValueError as error:
                 raise _too_large(job.view.rig, track, MAX_BUNDLE_BYTES) from error
             on_measurement()
@@ -148,7 +152,7 @@ def require_room(
     estimate = 0.0
     for sensor, steps in seen:
         chosen = sorted({steps[0], steps[len(steps) // 2], steps[-1]})
-        sizes = [_stored_bytes(sensor, t, track, scene, change) for t in chosen]
+        sizes = [_stored_bytes(sensor, t, track=track, scene=scene, change=change) for t in chosen]
         estimate += len(steps) * sum(sizes) / len(sizes)
     if estimate > _EXCESS * limit_bytes:
         raise _too_large(rig, track, limit_bytes, f", which would store {estimate / 1e9:.1f} GB,")
@@ -165,8 +169,8 @@ def _stored_bytes(sensor: Sensor, t: int, track: Trajectory, scene: Surroundings
     assert not isinstance(sensor, Imu | WheelOdometry), (
         "motion sensors have no samples: they store only a few bytes for each step"
     )
-    found, specs = arrays_in(observe(changed_sensor(sensor, change), t, track, scene)), arrays_of(sensor)
-    return sum(len(encode_array(specs[name], array)) for name, array in found.items())
+    arrays, specs = arrays_in(observe(changed_sensor(sensor, change), t, track, scene)), arrays_of(sensor)
+    return sum(len(encode_array(specs[name], array)) for name, array in arrays.items())
 
 
 def _too_large(rig: Rig, track: Trajectory, limit_bytes: int, estimate: str = "") -> WorldError:

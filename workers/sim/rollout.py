@@ -76,7 +76,14 @@ def drive(
         if reason is not None:
             place = f"at ({view.pose.x:.2f}, {view.pose.y:.2f}) m, {view.distance_m:.2f} m from {target.target_id}"
             end = f"{reason} after {loop.steps} steps {place}"
-            return Drive(reason, loop.arrays(), loop.contact_steps, visible, is_visible, end)
+            return Drive(
+                reason,
+                loop.arrays(),
+                contact_steps=loop.contact_steps,
+                steps_visible=visible,
+                target_in_view=is_visible,
+                end=end,
+            )
         loop.advance()
         timer("physics")
 

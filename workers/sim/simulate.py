@@ -30,7 +30,7 @@ from schemas.terms import FailReason
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure, to_line
 from workers.process.pipes import listen, take_stdout
 from workers.sim.attempt import AttemptFailure, run_attempt
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 from workers.sim.render_recording import render_recording
 
 _PROGRESS_S = 0.25
@@ -55,9 +55,9 @@ def main() -> int:
         out.write(to_line(report))
 
     try:
-        with SceneRenderer(arguments.renderer, kept_scenes=_KEPT_SCENES) as stage:
-            send(SimulationReport(kind=SimulationReportKind.READY, renderer=stage.renderer.description))
-            while _serve(SimulationOrder.model_validate_json(orders.get()), stage, send):
+        with SimulationContext(arguments.renderer, kept_scenes=_KEPT_SCENES) as context:
+            send(SimulationReport(kind=SimulationReportKind.READY, renderer=context.renderer.description))
+            while _serve(SimulationOrder.model_validate_json(orders.get()), context, send):
                 pass
     except BrokenPipeError:
         return _OK  # the supervisor has exited
@@ -67,13 +67,13 @@ def main() -> int:
     return _BUG
 
 
-def _serve(order: SimulationOrder, stage: SceneRenderer, send: SendReport) -> bool:
+def _serve(order: SimulationOrder, context: SimulationContext, send: SendReport) -> bool:
     """Executes one order; returns whether the process can serve another one."""
     progress = _Progress(send)
     part = Path(f"{order.bundle_path}.part")
     is_valid = True
     try:
-        report = _attempt(order, stage, part, progress)
+        report = _attempt(order, context, part, progress)
     except FactoryError as error:
         report = failure(FailReason.CRASH, str(error), progress.step, progress.seconds())
     except OSError as error:
@@ -88,13 +88,15 @@ def _serve(order: SimulationOrder, stage: SceneRenderer, send: SendReport) -> bo
     return is_valid
 
 
-def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, progress: _Progress) -> SimulationReport:
-    stage.load(order.scene_path, order.job.scene_sha256, order.light_path)
+def _attempt(order: SimulationOrder, context: SimulationContext, part: Path, progress: _Progress) -> SimulationReport:
+    context.load(order.scene_path, order.job.scene_sha256, order.light_path)
     with part.open("w+b") as file:
         if order.states is None:
-            outcome = run_attempt(order.job, stage, file, order.sid, progress)
+            outcome = run_attempt(order.job, context, out=file, sid=order.sid, on_step=progress)
         else:
-            outcome = render_recording(order.job, stage, base64.b64decode(order.states), file, progress)
+            outcome = render_recording(
+                order.job, context, states=base64.b64decode(order.states), out=file, on_step=progress
+            )
         if isinstance(outcome, AttemptFailure):
             return failure(outcome.reason, outcome.detail, outcome.steps, progress.seconds())
         file.flush()

@@ -94,7 +94,7 @@ Start = tuple[float, float, float]
 def draw_poses(
     job: Job,
     target: Target,
-    place: LoadedScene,
+    scene: LoadedScene,
     rng: np.random.Generator,
     accepts: Callable[[Pose], bool] = lambda _pose: True,
 ) -> Iterator[Pose]:
@@ -111,21 +111,21 @@ def draw_poses(
     Args:
         job: job, with tier, expert and spawn settings.
         target: target to approach.
-        place: scene with its grid.
+        scene: scene with its grid.
         rng: random generator of the attempt; consumed in a fixed order.
         accepts: further condition on a start, evaluated last. The sequence of candidates does not depend on it. The
             draw ends after the condition has rejected `_REJECTIONS` candidates.
     """
-    z = place.scene.info.floor_height_m
+    z = scene.compiled.info.floor_height_m
     for _ in range(job.spawn.physics_draws):
-        found = _draw_on_grid(job, target, place, rng, lambda start: accepts(Pose.planar(*start, z=z)))
-        if found is None:
+        pose = _draw_on_grid(job, target, scene=scene, rng=rng, accepts=lambda start: accepts(Pose.planar(*start, z=z)))
+        if pose is None:
             return
-        yield Pose.planar(*found, z=z)
+        yield Pose.planar(*pose, z=z)
 
 
 def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
-    """Places the robot, simulates the warm-up steps, and returns whether it kept its place.
+    """Places the robot, simulates the warm-up steps, and returns whether it kept its scene.
 
     Design: docs/design/starts.md#in-physics.
 
@@ -143,18 +143,18 @@ def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
 
 
 def _draw_on_grid(
-    job: Job, target: Target, place: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
+    job: Job, target: Target, scene: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
 ) -> Start | None:
-    fitting = _draw_fitting(job, target, place, rng, accepts)
+    fitting = _draw_fitting(job, target, scene=scene, rng=rng, accepts=accepts)
     first = next(fitting, None)
     if first is None or not _is_screened(job) or job.spawn.screening is not Screening.FORESEEN:
         return first
     # Design: docs/design/starts.md#predicted-drives.
     some = itertools.chain((first,), itertools.islice(fitting, _PREDICTIONS - 1))
-    estimate = MaskEstimate(place.scene, target.instance_id, job.camera)
+    estimate = MaskEstimate(scene.compiled, target.instance_id, job.camera)
     best, most_m = first, -math.inf
     for start in some:
-        room_m = _room_along_drive(job, target, place, start, estimate)
+        room_m = _room_along_drive(job, target, scene=scene, start=start, estimate=estimate)
         if room_m >= _PREDICTION_MARGIN_M:
             return start
         if room_m > most_m:
@@ -163,10 +163,10 @@ def _draw_on_grid(
 
 
 def _draw_fitting(
-    job: Job, target: Target, place: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
+    job: Job, target: Target, scene: LoadedScene, rng: np.random.Generator, accepts: Callable[[Start], bool]
 ) -> Iterator[Start]:
     """Yields valid starts; in the near and mid tiers, only those at the first distance with a valid start."""
-    surveyed = surveyed_points(job, target, place) if job.tier is Tier.FAR else None
+    surveyed = surveyed_points(job, target, scene) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
         return
     distances, rejected = _distance_stream(job, rng), 0
@@ -175,7 +175,7 @@ def _draw_fitting(
             poses = _draw_around(job, target, distances, rng)
         else:
             poses = draw_among(surveyed, job, target, rng)
-        fits = np.flatnonzero(_can_start(job, target, place, poses))[:_PREDICTIONS]
+        fits = np.flatnonzero(_can_start(job, target, scene, poses))[:_PREDICTIONS]
         before = rejected
         for x, y, yaw in poses[fits].tolist():
             if accepts((x, y, yaw)):
@@ -224,12 +224,12 @@ def _is_screened(job: Job) -> bool:
     return job.expert is not ExpertName.PLANNER and job.spawn.needs_free_line
 
 
-def surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+def surveyed_points(job: Job, target: Target, scene: LoadedScene) -> NDArray[np.float32]:
     """Returns the surveyed points (N, 2) whose distance along the floor to the target is in the range of the tier."""
-    points = _points_on_free_lines(job, target, place) if _is_screened(job) else place.scene.spawns
+    points = _points_on_free_lines(job, target, scene) if _is_screened(job) else scene.compiled.spawns
     low, high = job.spawn.far_floor_m
-    way = geodesic_field(place.grid, target, job.task).metres
-    floor_m = place.grid.values_at(way, points, np.inf).astype(np.float64)
+    way = geodesic_field(scene.grid, target, job.task).metres
+    floor_m = scene.grid.values_at(way, points, np.inf).astype(np.float64)
     longest = high - job.task.success_radius_m
     if job.expert is ExpertName.PLANNER:
         longest = min(longest, job.planner.max_path_m)
@@ -237,51 +237,51 @@ def surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.
     return np.asarray(points[(floor_m >= low - job.task.success_radius_m) & (floor_m <= longest)])
 
 
-def _points_on_free_lines(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+def _points_on_free_lines(job: Job, target: Target, scene: LoadedScene) -> NDArray[np.float32]:
     if job.task.success is SuccessMeasure.CENTROID:
-        column = place.scene.info.targets.index(target)
-        return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
-    points = place.scene.spawns[place.grid.have_sight(place.scene.spawns, target)]
-    return np.asarray(points[_is_way_free(job, target, place, points.astype(np.float64))])
+        column = scene.compiled.info.targets.index(target)
+        return scene.compiled.spawns[scene.compiled.spawn_sees[:, column] > 0]
+    points = scene.compiled.spawns[scene.grid.have_sight(scene.compiled.spawns, target)]
+    return np.asarray(points[_is_way_free(job, target, scene, points.astype(np.float64))])
 
 
-def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
+def _can_start(job: Job, target: Target, scene: LoadedScene, poses: Poses) -> Bools:
     """Returns whether an episode of the job may start at each of the poses (N, 3).
 
     Each test evaluates only the poses that passed all tests before it.
     """
     tests: list[Callable[[Poses], Bools]] = [
-        lambda at: place.grid.are_poses_free(at[:, 0], at[:, 1], at[:, 2], job.spawn.margin_m),
-        lambda at: place.are_connected(at[:, 0], at[:, 1], at[:, 2]),
-        lambda at: ~are_within(at[:, :2], place.taken),
+        lambda at: scene.grid.are_poses_free(at[:, 0], at[:, 1], at[:, 2], job.spawn.margin_m),
+        lambda at: scene.are_connected(at[:, 0], at[:, 1], at[:, 2]),
+        lambda at: ~are_within(at[:, :2], scene.taken),
     ]
     if job.expert is ExpertName.PLANNER:
-        table = pose_table(place.grid, job.planner.tight_margin_m)
-        tests.append(lambda at: np.array([table.holds(place.grid, *pose) for pose in at], bool))
+        table = pose_table(scene.grid, job.planner.tight_margin_m)
+        tests.append(lambda at: np.array([table.holds(scene.grid, *pose) for pose in at], bool))
     if job.tier is Tier.FAR:  # `surveyed_points` has tested free lines
-        tests.append(lambda at: np.array([_is_far(job, target, place, pose[:2]) for pose in at], bool))
+        tests.append(lambda at: np.array([_is_far(job, target, scene, pose[:2]) for pose in at], bool))
     elif job.expert is ExpertName.PLANNER or job.spawn.screening is not Screening.NONE:
-        tests.append(lambda at: place.grid.have_sight(at[:, :2], target))
+        tests.append(lambda at: scene.grid.have_sight(at[:, :2], target))
         if _is_screened(job):
-            tests.append(lambda at: _is_way_free(job, target, place, at[:, :2]))
+            tests.append(lambda at: _is_way_free(job, target, scene, at[:, :2]))
     rest = np.arange(len(poses))
     for passes in tests:
         rest = rest[passes(poses[rest])]
     return np.isin(np.arange(len(poses)), rest)
 
 
-def _is_far(job: Job, target: Target, place: LoadedScene, xy: NDArray[np.float64]) -> bool:
-    path_m = geodesic_m(place.grid, xy, target, job.task)
+def _is_far(job: Job, target: Target, scene: LoadedScene, xy: NDArray[np.float64]) -> bool:
+    path_m = geodesic_m(scene.grid, xy, target, job.task)
     return path_m is not None and path_m + job.task.success_radius_m >= job.spawn.far_floor_m[0]
 
 
-def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
+def _is_way_free(job: Job, target: Target, scene: LoadedScene, starts: NDArray[np.float64]) -> Bools:
     # experts that drive straight cannot pass corners, so many attempts with a blocked line would fail
     ends = Goal.of(target, job.task).approach(starts, ARRIVAL_RADIUS_M)
-    return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
+    return scene.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 
 
-def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, estimate: MaskEstimate) -> float:
+def _room_along_drive(job: Job, target: Target, scene: LoadedScene, start: Start, estimate: MaskEstimate) -> float:
     """Returns the smallest free space around the footprint along the predicted path, metres."""
     drive = predict_path(start, Goal.of(target, job.task), job, estimate)
-    return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())
+    return float(scene.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())

@@ -41,8 +41,8 @@ class PreparedStatement:
         if any(isinstance(kind, Boolean) for kind in returned.values()):
             raise TypeError(f"a prepared statement must not return Boolean columns; requested: {', '.join(returned)}")
         self.statement = statement.inline() if isinstance(statement, Insert) else statement
-        found: Any = namedtuple("Found", returned)  # type: ignore[misc]
-        self._row: Callable[[Iterable[Any]], Any] = found._make
+        row_type: Any = namedtuple("Found", returned)  # type: ignore[misc]
+        self._row: Callable[[Iterable[Any]], Any] = row_type._make
         self._compiled: dict[str, _Compiled] = {}
 
     def first(self, connection: Connection, parameters: Mapping[str, Any]) -> Any | None:
@@ -55,8 +55,8 @@ class PreparedStatement:
         Raises:
             DBAPIError: the same errors as `Connection.execute`.
         """
-        found = self._run(connection, parameters, _fetch)
-        return None if found is None else self._row(found)
+        row = self._run(connection, parameters, _fetch)
+        return None if row is None else self._row(row)
 
     def count(self, connection: Connection, parameters: Mapping[str, Any]) -> int:
         """Executes the statement and returns the number of changed rows; arguments and exceptions as for `first`."""

@@ -156,9 +156,9 @@ def find_damage(connection: Connection, catalog: Catalog | None = None) -> str:
 def _findings(connection: Connection, catalog: Catalog | None) -> Iterator[str]:
     is_sqlite = connection.dialect.name == "sqlite"
     if is_sqlite:
-        said = connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar_one()
-        if said != "ok":
-            yield f"is damaged: {said}"
+        result = connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar_one()
+        if result != "ok":
+            yield f"is damaged: {result}"
     missing = sorted(METADATA.tables.keys() - set(inspect(connection).get_table_names()) - ADDED_LATER)
     if missing:
         yield f"lacks the tables {', '.join(missing)}"

@@ -66,7 +66,15 @@ def read_failures(connection: Connection, scene: str | None = None, limit: int =
     if scene is not None:
         query = query.where(jobs.c.scene == scene)
     return [
-        FailedPlace(row.idx, row.attempt, row.outcome, row.detail, row.scene, row.target_id, place_in(row.detail))
+        FailedPlace(
+            row.idx,
+            row.attempt,
+            reason=row.outcome,
+            detail=row.detail,
+            scene=row.scene,
+            target_id=row.target_id,
+            xy_m=place_in(row.detail),
+        )
         for row in connection.execute(query)
     ]
 
@@ -88,5 +96,5 @@ def count_failures(connection: Connection) -> Mapping[str, int]:
 def place_in(detail: str) -> tuple[float, float] | None:
     """Returns the first location x, y in the description of a failure, metres."""
     # columns for x and y would change the formats of the ledger, of the messages and of `attempts.parquet`
-    found = _PLACE.search(detail)
-    return None if found is None else (float(found[1]), float(found[2]))
+    match = _PLACE.search(detail)
+    return None if match is None else (float(match[1]), float(match[2]))

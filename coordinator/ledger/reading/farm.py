@@ -125,20 +125,22 @@ def _recent() -> ColumnElement[bool]:
 
 
 def _cells(connection: Connection) -> dict[tuple[str, str, str], dict[str, int]]:
-    found: defaultdict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
+    cells: defaultdict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
     for row in connection.execute(job_counts(connection)):
         if not row.superseded and row.jobs:
-            found[row.scene, row.tier, row.split][row.state] += row.jobs
-    return {cell: dict(found[cell]) for cell in sorted(found)}
+            cells[row.scene, row.tier, row.split][row.state] += row.jobs
+    return {cell: dict(cells[cell]) for cell in sorted(cells)}
 
 
 def _running(connection: Connection) -> dict[str, tuple[RunningJob, ...]]:
     columns = (jobs.c.sid, jobs.c.idx, jobs.c.scene, jobs.c.tier, jobs.c.step, jobs.c.state)
     held = select(*columns).where(jobs.c.state.in_(HELD_STATES)).order_by(jobs.c.idx).limit(_MOST_RUNNING)
-    found: defaultdict[str, list[RunningJob]] = defaultdict(list)
+    running: defaultdict[str, list[RunningJob]] = defaultdict(list)
     for row in connection.execute(held):
-        found[row.sid or ""].append(RunningJob(row.idx, row.scene, row.tier == BUILD, row.step, row.state))
-    return {sid: tuple(rows) for sid, rows in found.items()}
+        running[row.sid or ""].append(
+            RunningJob(row.idx, row.scene, is_build=row.tier == BUILD, step=row.step, state=row.state)
+        )
+    return {sid: tuple(rows) for sid, rows in running.items()}
 
 
 def _events(connection: Connection) -> tuple[FarmEvent, ...]:
@@ -149,13 +151,13 @@ def _events(connection: Connection) -> tuple[FarmEvent, ...]:
         FarmEvent(
             row.idx,
             row.scene,
-            row.tier == BUILD,
-            event_name(row.event),
-            row.state,
-            row.attempt,
-            row.sid,
-            row.detail,
-            datetime.fromtimestamp(row.at, UTC),
+            is_build=row.tier == BUILD,
+            event=event_name(row.event),
+            state=row.state,
+            attempt=row.attempt,
+            worker=row.sid,
+            detail=row.detail,
+            at=datetime.fromtimestamp(row.at, UTC),
         )
         for row in connection.execute(query)
     )

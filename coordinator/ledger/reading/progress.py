@@ -45,7 +45,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
     facts = read_info(connection)
     cells = job_counts(connection).subquery()
     by_tier = _count_by(connection, cells, "tier")
-    counts = sum((Counter(found) for found in by_tier.values()), Counter())
+    counts = sum((Counter(counts_of_tier) for counts_of_tier in by_tier.values()), Counter())
     left = sum(counts[state] for state in OPEN_STATES)
     layouts = build_counts(connection)
     unbuilt = max(0, (facts.episodes or 0) - sum(counts.values()))

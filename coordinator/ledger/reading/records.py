@@ -157,7 +157,7 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
     for row in connection.execute(query):
         _require_text(row)
         name, state, at = event_name(row.event), JobState(row.state), _utc(row.at)
-        yield EventRecord(row.draw, row.attempt, name, state, row.sid, row.detail, at)
+        yield EventRecord(row.draw, row.attempt, event=name, state=state, worker=row.sid, detail=row.detail, at=at)
 
 
 def read_archived(connection: Connection) -> frozenset[int]:

@@ -89,8 +89,8 @@ class RigSensors:
         if isinstance(sensor, Imu | WheelOdometry):
             row = t // sensor.stride(track.control_hz)
             return {name: array[row] for name, array in arrays_in(measure(sensor, track)).items()}
-        found = observe(sensor, t, track, self._simulator.surroundings)
-        return {name: array for name, array in arrays_in(found).items() if name != _IDS}
+        measurement = observe(sensor, t, track, self._simulator.surroundings)
+        return {name: array for name, array in arrays_in(measurement).items() if name != _IDS}
 
 
 def live_appearance(appearance: str | Path | Appearance) -> Appearance | None:
@@ -100,10 +100,10 @@ def live_appearance(appearance: str | Path | Appearance) -> Appearance | None:
         UsageError: the appearance does not exist, or has clutter.
         InvalidAppearance: the file is not valid.
     """
-    found = appearance if isinstance(appearance, Appearance) else find_appearance(str(appearance))
-    if found is not None and found.clutter is not None:
+    chosen = appearance if isinstance(appearance, Appearance) else find_appearance(str(appearance))
+    if chosen is not None and chosen.clutter is not None:
         raise UsageError(
-            f"appearance {found.name!r} has clutter, which is placed away from a recorded path and has no "
+            f"appearance {chosen.name!r} has clutter, which is placed away from a recorded path and has no "
             "collision shape: remove `clutter` for an evaluation, or choose `varied`"
         )
-    return found
+    return chosen

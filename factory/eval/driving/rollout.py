@@ -210,7 +210,7 @@ def _measured(
     start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
-    has_goal, targets = not spec.is_false_premise, simulator.loaded.scene.info.targets
+    has_goal, targets = not spec.is_false_premise, simulator.loaded.compiled.info.targets
     is_at_any = is_success or (has_goal and measure.stops_at_any(track, targets, spec.category, rules))
     return EpisodeResult(
         **request_fields(task),
@@ -226,7 +226,7 @@ def _measured(
         final_centroid_m=float(np.linalg.norm(last - np.asarray(target.centroid_m[:2]))),
         final_surface_m=float(footprint_distances(last, target.footprint_m)) if target.footprint_m else None,
         spl=None if spec.geodesic_m is None else measure.spl(is_success, spec.geodesic_m, driven_m),
-        soft_spl=_soft_spl(spec, simulator, track, is_success, driven_m),
+        soft_spl=_soft_spl(spec, simulator, track=track, is_success=is_success, driven_m=driven_m),
         **(progresses(start_m, final_m, least_m, rules) if has_goal else _stop_progress(is_success)),
         contact_steps=simulator.contact_steps,
         clipped_actions=drive.clipped,

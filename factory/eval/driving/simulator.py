@@ -23,7 +23,7 @@ from workers.physics.world import World
 from workers.sensors.observation import Trajectory
 from workers.sim.appearance import show_appearance
 from workers.sim.closed_loop import ClosedLoop
-from workers.sim.context import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SimulationContext
 from workers.sim.recording import LoadedSurroundings
 from workers.sim.spawn import is_spawn_stable
 
@@ -38,9 +38,11 @@ class Simulator(Closing):
     It is a context manager.
     """
 
-    def __init__(self, stage: SceneRenderer, settings: EvalSettings, appearance: Appearance | None = None) -> None:
+    def __init__(
+        self, context: SimulationContext, settings: EvalSettings, appearance: Appearance | None = None
+    ) -> None:
         """Stores the scene renderer, which the caller opens and closes, and the appearance of the episodes."""
-        self._stage, self._appearance = stage, appearance
+        self._context, self._appearance = context, appearance
         self.settings = settings
         self._held = ExitStack()
         self._loop: ClosedLoop | None = None
@@ -64,7 +66,7 @@ class Simulator(Closing):
         self.close()
         self.spec, self.loaded = spec, loaded
         self.target = _target(spec, loaded)
-        job, scene = spec.job(self.settings), loaded.scene
+        job, scene = spec.job(self.settings), loaded.compiled
         world = self._held.enter_context(World(scene, loaded.collider, job.robot, job.task.control_hz))
         x, y, yaw = spec.spawn_pose
         if not is_spawn_stable(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
@@ -73,7 +75,7 @@ class Simulator(Closing):
                 f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
             )
         pose = np.array(((x, y, 0.0, 1.0, 0.0, 0.0, 0.0),))
-        self.shown = show_appearance(job, self._appearance, loaded, self._stage.renderer, pose)
+        self.shown = show_appearance(job, self._appearance, scene=loaded, renderer=self._context.renderer, poses=pose)
         self._loop = ClosedLoop(job, self.target, world, self.shown.renderer)
         self._held.callback(self._loop.leave)
         return self._loop.view
@@ -127,7 +129,7 @@ class Simulator(Closing):
     @property
     def surroundings(self) -> LoadedSurroundings:
         """Scene of the episode for cameras and lidars."""
-        return LoadedSurroundings(self.shown.place, self.shown.renderer)
+        return LoadedSurroundings(self.shown.scene, self.shown.renderer)
 
     def observe(self) -> Observation:
         """Returns the current view, which contains ground truth and must not be passed to a model."""
@@ -149,7 +151,7 @@ class Simulator(Closing):
 
 def _target(spec: EvalSpec, loaded: LoadedScene) -> Target:
     try:
-        return loaded.scene.info.target(spec.target_id)
+        return loaded.compiled.info.target(spec.target_id)
     except KeyError as error:
         raise WorldError(
             f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; create new specs"

@@ -50,7 +50,7 @@ class PolicyLimits(Model):
     """Timeout of reconnecting to a policy server, seconds."""
 
 
-class Setup(PolicyLimits):
+class EvalSetup(PolicyLimits):
     """Settings of all tasks of a campaign."""
 
     settings: EvalSettings
@@ -66,7 +66,7 @@ class EvalTask(Model):
     """Number of the task in the campaign, from 1. With remote workers, the job of the task has this index."""
     policy: str
     request: EvalRequest
-    setup: Setup
+    setup: EvalSetup
     actions: Actions | None = None
     """Actions of the archived episode that the request names; added when the task is sent."""
 

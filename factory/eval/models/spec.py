@@ -172,10 +172,10 @@ def write_specs(specs: SpecSet, path: Path) -> None:
 
 def _refuse_newer(path: Path, text: str) -> None:
     try:
-        found = json.loads(text)
+        content = json.loads(text)
     except (ValueError, RecursionError):
         return
-    version = found.get("format") if isinstance(found, dict) else None
+    version = content.get("format") if isinstance(content, dict) else None
     if isinstance(version, int) and version > SPECS_FORMAT:
         raise UsageError(
             f"{path} has format {version}, this software reads formats up to {SPECS_FORMAT}: upgrade minivla-factory"

@@ -78,11 +78,11 @@ class BcPolicy:
         Raises:
             UsageError: The camera or the control rate differs from the training.
         """
-        mine, found = (self.meta.control_hz, self.meta.fov_deg), (info.control_hz, info.fov_deg)
-        if mine != found:
+        mine, theirs = (self.meta.control_hz, self.meta.fov_deg), (info.control_hz, info.fov_deg)
+        if mine != theirs:
             raise UsageError(
                 f"the policy was trained at {mine[0]} Hz with a field of view of {mine[1]:g} degrees, but the episodes "
-                f"have {found[0]} Hz and {found[1]:g} degrees: train on episodes with the same rate and camera"
+                f"have {theirs[0]} Hz and {theirs[1]:g} degrees: train on episodes with the same rate and camera"
             )
         words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
         self._words = self._torch.from_numpy(words[None])

@@ -93,12 +93,30 @@ POLICIES: Mapping[str, PolicyEntry] = MappingProxyType(
         "stop": PolicyEntry(lambda _rest, _: StopPolicy(), "stop"),
         "replay": PolicyEntry(lambda _rest, _: ReplayPolicy(), "replay", needs_recording=True),
         "playback": PolicyEntry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
-        "bc": PolicyEntry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",), True),
+        "bc": PolicyEntry(
+            lambda rest, _: BcPolicy(rest),
+            "bc:OUT",
+            needs_recording=False,
+            reads_instruction=True,
+            file_of=bc_file,
+            needs=("torch",),
+            renders_apart=True,
+        ),
         "ws": PolicyEntry(
-            lambda rest, limits: RemotePolicy(f"ws:{rest}", limits), "ws://HOST:PORT", False, True, None, _WIRE
+            lambda rest, limits: RemotePolicy(f"ws:{rest}", limits),
+            "ws://HOST:PORT",
+            needs_recording=False,
+            reads_instruction=True,
+            file_of=None,
+            needs=_WIRE,
         ),
         "wss": PolicyEntry(
-            lambda rest, limits: RemotePolicy(f"wss:{rest}", limits), "wss://HOST:PORT", False, True, None, _WIRE
+            lambda rest, limits: RemotePolicy(f"wss:{rest}", limits),
+            "wss://HOST:PORT",
+            needs_recording=False,
+            reads_instruction=True,
+            file_of=None,
+            needs=_WIRE,
         ),
     }
 )

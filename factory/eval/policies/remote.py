@@ -64,21 +64,21 @@ def _pack_numpy(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} {getattr(value, 'dtype', '')}".strip())
 
 
-def _unpack_numpy(found: dict[Any, Any]) -> Any:
-    if b"__ndarray__" in found:
-        dtype, shape, data = _dtype(found), tuple(found.get(b"shape", ())), found.get(b"data", b"")
+def _unpack_numpy(message: dict[Any, Any]) -> Any:
+    if b"__ndarray__" in message:
+        dtype, shape, data = _dtype(message), tuple(message.get(b"shape", ())), message.get(b"data", b"")
         if not all(isinstance(side, int) and side >= 0 for side in shape) or not isinstance(data, bytes):
             raise WireError(f"contains an array of shape {shape!r}")
         if math.prod(shape) * dtype.itemsize != len(data):
             raise WireError(f"contains an array {dtype.str} {shape} in {len(data)} bytes")
         return np.frombuffer(data, dtype).reshape(shape)
-    if b"__npgeneric__" in found:
-        return _dtype(found).type(found.get(b"data"))
-    return found
+    if b"__npgeneric__" in message:
+        return _dtype(message).type(message.get(b"data"))
+    return message
 
 
-def _dtype(found: dict[Any, Any]) -> np.dtype[Any]:
-    name = found.get(b"dtype")
+def _dtype(header: dict[Any, Any]) -> np.dtype[Any]:
+    name = header.get(b"dtype")
     try:
         dtype = np.dtype(name) if isinstance(name, str) else None
     except TypeError:
@@ -116,8 +116,8 @@ class RemotePolicy:
     @property
     def needs(self) -> tuple[str, ...]:
         """Inputs without which the policy is refused: the list `needs` of the server's greeting."""
-        found = self.metadata.get("needs", ()) if isinstance(self.metadata, dict) else ()
-        return tuple(map(str, found)) if isinstance(found, list | tuple) else ()
+        needs = self.metadata.get("needs", ()) if isinstance(self.metadata, dict) else ()
+        return tuple(map(str, needs)) if isinstance(needs, list | tuple) else ()
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Stores the fields sent with every observation; step 0 starts a new episode at the server."""

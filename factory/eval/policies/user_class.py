@@ -35,8 +35,8 @@ def load_class(name: str) -> Policy:
     try:
         with _working_directory_first():
             module = importlib.import_module(module_name)
-            found = _class_of(module, class_name, name)
-            policy: Policy = found()  # type: ignore[operator]
+            loaded = _class_of(module, class_name, name)
+            policy: Policy = loaded()  # type: ignore[operator]
     except UsageError:
         raise
     except Exception as error:
@@ -72,14 +72,14 @@ def require_module(name: str) -> None:
 
 
 def _class_of(module: ModuleType, class_name: str, name: str) -> object:
-    found: object = module
+    attribute: object = module
     for part in class_name.split("."):
-        if not hasattr(found, part):
-            own = [key for key, value in vars(module).items() if _is_public_class(key, value, module)]
-            there = f"{module.__file__ or module.__name__} has {', '.join(own) or 'no public class'}"
-            raise UsageError(f"policy {name}: no class {class_name!r}; {there}{did_you_mean(class_name, own)}")
-        found = getattr(found, part)
-    return found
+        if not hasattr(attribute, part):
+            candidates = [key for key, value in vars(module).items() if _is_public_class(key, value, module)]
+            there = f"{module.__file__ or module.__name__} has {', '.join(candidates) or 'no public class'}"
+            raise UsageError(f"policy {name}: no class {class_name!r}; {there}{did_you_mean(class_name, candidates)}")
+        attribute = getattr(attribute, part)
+    return attribute
 
 
 def _is_public_class(key: str, value: object, module: ModuleType) -> bool:

@@ -27,13 +27,13 @@ from factory.dataset.packages import light_file
 from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerUnreachable
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalSetup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies.registry import describe_knowledge, make_policy, require_inputs
 from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 SendReport = Callable[[EvalReport], None]
 
@@ -56,7 +56,7 @@ def main() -> int:
         order = DriverOrder.model_validate_json(lines.get())
         setup = order.task.setup
         with (
-            SceneRenderer(setup.renderer, apart=arguments.render_apart) as stage,
+            SimulationContext(setup.renderer, apart=arguments.render_apart) as stage,
             Simulator(stage, setup.settings, setup.view.appearance) as simulator,
         ):
             driver = _Driver(setup, stage, simulator, shared, tell)
@@ -79,7 +79,7 @@ class _Driver:
     """Executes orders with the current policy, and updates the shared status."""
 
     def __init__(
-        self, setup: Setup, stage: SceneRenderer, simulator: Simulator, shared: SharedStatus, tell: SendReport
+        self, setup: EvalSetup, stage: SimulationContext, simulator: Simulator, shared: SharedStatus, tell: SendReport
     ) -> None:
         self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
         self._status = StatusWriter(shared)

@@ -11,7 +11,15 @@ from typing import NamedTuple
 
 from factory.eval.driving.policy import PolicyFault
 from factory.eval.driving.rollout import progresses, request_fields
-from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask, Setup, read_report, to_line
+from factory.eval.models.messages import (
+    DriverOrder,
+    EvalReport,
+    EvalReportKind,
+    EvalSetup,
+    EvalTask,
+    read_report,
+    to_line,
+)
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies.registry import renders_apart
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
@@ -45,7 +53,7 @@ class DriverProcess:
     """Driver process, restarted when needed."""
 
     def __init__(self) -> None:
-        self._setup: Setup | None = None
+        self._setup: EvalSetup | None = None
         self._renders_apart = False
         self._process: JsonlProcess[EvalReport] | None = None
         self._status: SharedStatus | None = None

@@ -17,7 +17,7 @@ from factory.eval.policies.registry import note_of
 from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, tasks_for, with_actions
-from factory.eval.specs.from_dataset import Places
+from factory.eval.specs.from_dataset import LoadedScenes
 from schemas.errors import UsageError, WorldError
 
 _POLL_S = 0.05
@@ -53,7 +53,7 @@ def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: 
         UsageError: A policy cannot be created, or the specs do not match the dataset.
         WorldError: The server of a policy cannot be reached, or simulations die repeatedly.
     """
-    places = Places(campaign.root)
+    places = LoadedScenes(campaign.root)
     with ExitStack() as stack:
         drivers = [DriverProcess() for _ in range(campaign.processes)]
         for driver in drivers:
@@ -71,7 +71,7 @@ class _PolicyCampaign:
         self,
         campaign: Campaign,
         policy: str,
-        places: Places,
+        places: LoadedScenes,
         store: Store,
         drivers: list[DriverProcess],
         stop: threading.Event,

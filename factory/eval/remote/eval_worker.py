@@ -72,9 +72,9 @@ class _EvalWorker:
         setup = task.setup.model_copy(update={"renderer": self._renderer})
         task = task.model_copy(update={"setup": setup})
         driver.send(DriverOrder(task=task, package=order.scene_path, policy_file=order.attachment_path))
-        heard = self._wait()
+        outcome = self._wait()
         driver.current = None
-        result = _result(heard, task, driver)
+        result = _result(outcome, task, driver)
         if isinstance(result, worker.SimulationReport):
             self.tell(result)
         else:
@@ -83,32 +83,32 @@ class _EvalWorker:
 
     def _wait(self) -> Outcome | DriverEnded:
         """Returns the outcome of the current task; meanwhile, sends progress reports to the worker."""
-        told, driver = time.monotonic(), self._driver
+        last_report_s, driver = time.monotonic(), self._driver
         while True:
-            heard = driver.poll(_POLL_S)
-            if heard is not None:
-                return heard
-            if time.monotonic() - told > _TELL_S:
-                told = time.monotonic()
+            outcome = driver.poll(_POLL_S)
+            if outcome is not None:
+                return outcome
+            if time.monotonic() - last_report_s > _TELL_S:
+                last_report_s = time.monotonic()
                 self.tell(worker.SimulationReport(kind=worker.SimulationReportKind.PROGRESS, step=driver.steps))
 
 
 def _result(
-    heard: Outcome | DriverEnded, task: EvalTask, driver: DriverProcess
+    outcome: Outcome | DriverEnded, task: EvalTask, driver: DriverProcess
 ) -> EpisodeResult | worker.SimulationReport:
     """Returns the result of a task, or a failure report.
 
     The reason in the report is `RELEASED` if this machine or the server of the policy caused the failure.
     """
-    if isinstance(heard, DriverEnded):
-        if heard.fault is not None and task.policy in driver.made:
-            return interrupted_result(task, heard.detail, heard.fault, heard.state)
-        where = "" if heard.fault is None else f"policy {task.policy} cannot be created: "
-        return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
-    if heard.result is not None:
-        return heard.result
-    is_of_this_machine = heard.kind is EvalReportKind.AWAY or heard.number != task.number
-    return failure(FailReason.RELEASED if is_of_this_machine else FailReason.CRASH, heard.detail)
+    if isinstance(outcome, DriverEnded):
+        if outcome.fault is not None and task.policy in driver.made:
+            return interrupted_result(task, outcome.detail, outcome.fault, outcome.state)
+        where = "" if outcome.fault is None else f"policy {task.policy} cannot be created: "
+        return failure(FailReason.CRASH, where + outcome.detail, outcome.state.steps)
+    if outcome.result is not None:
+        return outcome.result
+    is_of_this_machine = outcome.kind is EvalReportKind.AWAY or outcome.number != task.number
+    return failure(FailReason.RELEASED if is_of_this_machine else FailReason.CRASH, outcome.detail)
 
 
 def _seal(driven: ResultBundle, path: Path, seconds: float) -> worker.SimulationReport:

@@ -145,14 +145,14 @@ def result_findings(result: EpisodeResult, task: EvalTask, target: Target) -> li
         task: task with its request and policy.
         target: target of the spec in the compiled scene.
     """
-    asked, settings = request_fields(task), task.setup.settings
-    found = [
+    request, settings = request_fields(task), task.setup.settings
+    findings = [
         f"{name} is {getattr(result, name)!r}, expected {wanted!r}"
-        for name, wanted in asked.items()
+        for name, wanted in request.items()
         if getattr(result, name) != wanted
     ]
     return [
-        *found,
+        *findings,
         *_of_the_end(result, settings),
         *_of_the_measures(result, settings),
         *_of_the_track(result, task, target),
@@ -222,8 +222,8 @@ def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iter
         "final_surface_m": float(footprint_distances(last, target.footprint_m)) if target.footprint_m else None,
     }
     for name, seen in distances.items():
-        said = getattr(result, name)
-        if said is not None and seen is None:
-            yield f"{name} is {said:.3f} m, but the scene records no footprint"
-        elif said is not None and seen is not None and abs(said - seen) > _TRACK_SLACK_M:
-            yield f"{name} is {said:.3f} m, but the track gives {seen:.3f} m"
+        reported = getattr(result, name)
+        if reported is not None and seen is None:
+            yield f"{name} is {reported:.3f} m, but the scene records no footprint"
+        elif reported is not None and seen is not None and abs(reported - seen) > _TRACK_SLACK_M:
+            yield f"{name} is {reported:.3f} m, but the track gives {seen:.3f} m"

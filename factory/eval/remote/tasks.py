@@ -12,7 +12,7 @@ from coordinator.expansion.draw import PlannedJob
 from factory.eval.models.messages import EvalTask
 from factory.eval.policies.registry import file_of
 from factory.eval.specs.campaign import Campaign, tasks_for
-from factory.eval.specs.from_dataset import Places
+from factory.eval.specs.from_dataset import LoadedScenes
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.layouts import LayoutPlan
@@ -28,7 +28,7 @@ _BUDGET = Budget(attempts_per_draw=1, draws=1)
 
 def number_tasks(campaign: Campaign) -> Mapping[int, EvalTask]:
     """Returns the tasks of all policies by number; the same campaign gives the same numbers."""
-    places = Places(campaign.root)
+    places = LoadedScenes(campaign.root)
     tasks: list[EvalTask] = []
     for policy in campaign.policies:
         tasks += tasks_for(campaign, policy, places, len(tasks) + 1)
@@ -41,17 +41,17 @@ def catalog_of(campaign: Campaign) -> Catalog:
     Raises:
         UsageError: The specs do not match the scenes.
     """
-    places = Places(campaign.root)
-    found: dict[str, SceneEntry] = {}
+    places = LoadedScenes(campaign.root)
+    entries: dict[str, SceneEntry] = {}
     for spec in campaign.specs.specs:
-        entry = found.get(spec.scene)
+        entry = entries.get(spec.scene)
         if entry is None:
-            entry = found[spec.scene] = read_entry(places.path(spec.scene, spec.scene_sha256))
+            entry = entries[spec.scene] = read_entry(places.path(spec.scene, spec.scene_sha256))
         if entry.sha256 != spec.scene_sha256:
             raise UsageError(f"the specs refer to two different packages of scene {spec.scene}; create new specs")
         if all(target.target_id != spec.target_id for target in entry.info.targets):
             raise UsageError(f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; create new specs")
-    return found
+    return entries
 
 
 def attachments_of(campaign: Campaign) -> Attached:
@@ -60,7 +60,7 @@ def attachments_of(campaign: Campaign) -> Attached:
     Raises:
         UsageError: A file is missing or too large.
     """
-    found: dict[str, tuple[Attachment, Path]] = {}
+    attached: dict[str, tuple[Attachment, Path]] = {}
     for policy in campaign.policies:
         path = file_of(policy)
         if path is not None:
@@ -69,8 +69,8 @@ def attachments_of(campaign: Campaign) -> Attached:
                 raise UsageError(f"{path} has {size} bytes; workers accept 1 to {MAX_ATTACHMENT_BYTES} bytes")
             with path.open("rb") as file:
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            found[policy] = Attachment(sha256=sha256, size=size), path
-    return found
+            attached[policy] = Attachment(sha256=sha256, size=size), path
+    return attached
 
 
 def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attached: Attached) -> Plan:

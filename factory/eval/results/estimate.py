@@ -41,19 +41,19 @@ def mean_of(values: Sequence[float | None]) -> IntervalEstimate:
 
 def means_of(columns: Mapping[str, Sequence[float | None]]) -> dict[str, IntervalEstimate]:
     """Returns the means of several columns of the same rows; resamples the columns together, which is faster."""
-    found: dict[str, IntervalEstimate] = {}
+    means: dict[str, IntervalEstimate] = {}
     full: dict[str, NDArray[np.float64]] = {}
     for name, column in columns.items():
         values = np.array([value for value in column if value is not None], np.float64)
         if len(values) < 2 or np.ptp(values) == 0:
-            found[name] = _certain(values)
+            means[name] = _certain(values)
         elif len(values) < len(column):
-            found[name] = _resampled({name: values})[name]
+            means[name] = _resampled({name: values})[name]
         else:
             full[name] = values
     if full:
-        found |= _resampled(full)
-    return {name: found[name] for name in columns}
+        means |= _resampled(full)
+    return {name: means[name] for name in columns}
 
 
 def mcnemar_p(only_first: int, only_second: int) -> float:

@@ -132,13 +132,16 @@ def main_table(policies: Sequence[PolicyScores]) -> MeasureTable:
     return MeasureTable("overview", "Main metrics", ("policy", *_MAIN_HEAD), [("", rows)])
 
 
-def comparison_table(found: PairedComparison) -> MeasureTable:
+def comparison_table(comparison: PairedComparison) -> MeasureTable:
     """Returns the success rates of a paired comparison and the mean differences, second policy minus first."""
-    rates = [(f"SR of {found.first}, %", found.first_success), (f"SR of {found.second}, %", found.second_success)]
-    means = [("success", found.success_difference), *found.differences.items()]
+    rates = [
+        (f"SR of {comparison.first}, %", comparison.first_success),
+        (f"SR of {comparison.second}, %", comparison.second_success),
+    ]
+    means = [("success", comparison.success_difference), *comparison.differences.items()]
     return MeasureTable(
         "comparison",
-        f"{found.second} minus {found.first}",
+        f"{comparison.second} minus {comparison.first}",
         ("kind", "measure", "value"),
         [
             ("rate", [[MeasureCell(name), _share(rate)] for name, rate in rates]),
@@ -169,7 +172,9 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
     if groups:
         names = ", ".join(policies_without_instruction(policies))
         note = f"Difference 0 by construction for policies that do not use the instruction: {names}." if names else ""
-        yield MeasureTable("words", "Instruction ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
+        yield MeasureTable(
+            "words", "Instruction ablation", head=("policy", *_ABLATION_HEAD), groups=list(groups.items()), note=note
+        )
 
 
 def _film(failure: FailureExample) -> dict[str, object]:

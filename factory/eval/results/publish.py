@@ -14,12 +14,12 @@ from factory.eval.results.score import Evaluation, score_policy
 from factory.eval.results.store import Store
 from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_poster
 from factory.eval.specs.campaign import Campaign
-from factory.eval.specs.from_dataset import Places
+from factory.eval.specs.from_dataset import LoadedScenes
 from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
 from schemas.storage.disk import replacing
 from schemas.view import ViewSettings
-from workers.sim.context import SceneRenderer
+from workers.sim.context import SimulationContext
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
 VIDEOS = "videos"
@@ -63,22 +63,24 @@ def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallb
     if total == 0:
         return {}
     shas = {spec.scene: spec.scene_sha256 for spec in campaign.specs.specs}
-    settings, places = campaign.specs.settings, Places(campaign.root)
-    found: dict[str, list[FailureExample]] = {name: [] for name in chosen}
-    with SceneRenderer(campaign.setup.renderer) as stage:
+    settings, places = campaign.specs.settings, LoadedScenes(campaign.root)
+    failures: dict[str, list[FailureExample]] = {name: [] for name in chosen}
+    with SimulationContext(campaign.setup.renderer) as stage:
         for name, rows in chosen.items():
             folder = store.folder(name) / VIDEOS
             folder.mkdir(exist_ok=True)
             for row in rows:
                 film, poster = folder / f"{row.spec_id}.mp4", folder / f"{row.spec_id}.jpg"
                 if not (film.exists() and poster.exists()):
-                    scene = places.load(row.scene, shas[row.scene]).scene
-                    pictures = list(draw_frames(row, scene, settings.task, stage.renderer, settings.camera))
+                    scene = places.load(row.scene, shas[row.scene]).compiled
+                    pictures = list(
+                        draw_frames(row, scene, task=settings.task, renderer=stage.renderer, camera=settings.camera)
+                    )
                     _write(poster, draw_poster(pictures[-1]))
                     write_mp4(film, pictures, FILM_RATE, FILM_CRF)
-                found[name].append(FailureExample(row, film.read_bytes(), poster.read_bytes()))
-                tell(sum(map(len, found.values())), total)
-    return found
+                failures[name].append(FailureExample(row, film.read_bytes(), poster.read_bytes()))
+                tell(sum(map(len, failures.values())), total)
+    return failures
 
 
 def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:

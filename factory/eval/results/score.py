@@ -47,8 +47,14 @@ def faults_of(results: Sequence[EpisodeResult]) -> tuple[FaultCount, ...]:
         if row.end.is_of_the_policy:
             rows.setdefault(row.end, []).append(row)
     faults = (
-        FaultCount(end=end, drives=len(found), of=len(results), first=found[0].spec_id, detail=found[0].detail)
-        for end, found in rows.items()
+        FaultCount(
+            end=end,
+            drives=len(episodes_by_row),
+            of=len(results),
+            first=episodes_by_row[0].spec_id,
+            detail=episodes_by_row[0].detail,
+        )
+        for end, episodes_by_row in rows.items()
     )
     return tuple(sorted(faults, key=lambda fault: (-fault.drives, fault.end)))
 

@@ -106,11 +106,11 @@ class Store(Closing):
                 raise UsageError(f"{self.root} is not empty and not an evaluation; choose another -o")
             self._begin(manifest)
             return
-        found = read_manifest(self.root)
+        stored = read_manifest(self.root)
         different = [
-            f"{name} {_short(getattr(found, name))}, now {_short(getattr(manifest, name))}"
+            f"{name} {_short(getattr(stored, name))}, now {_short(getattr(manifest, name))}"
             for name in EvalManifest.model_fields
-            if name != "format" and getattr(found, name) != getattr(manifest, name)
+            if name != "format" and getattr(stored, name) != getattr(manifest, name)
         ]
         if different and self._has_results():
             raise UsageError(f"{self.root} contains another evaluation ({'; '.join(different)}); choose another -o")
@@ -142,19 +142,19 @@ def read_manifest(root: Path) -> EvalManifest:
     """
     path = root / _MANIFEST
     try:
-        found = EvalManifest.model_validate_json(path.read_bytes())
+        manifest = EvalManifest.model_validate_json(path.read_bytes())
     except FileNotFoundError as error:
         raise WorldError(
             f"{root} is not an evaluation: {_MANIFEST} is missing; give the -o of `factory eval`"
         ) from error
     except (OSError, ValidationError) as error:
         raise WorldError(f"{path} is damaged: {error}") from error
-    if found.format > RESULTS_FORMAT:
+    if manifest.format > RESULTS_FORMAT:
         raise WorldError(
-            f"{path} has format {found.format}, this software reads formats up to {RESULTS_FORMAT}: upgrade "
+            f"{path} has format {manifest.format}, this software reads formats up to {RESULTS_FORMAT}: upgrade "
             "minivla-factory"
         )
-    return found
+    return manifest
 
 
 def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:

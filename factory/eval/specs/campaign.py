@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from factory.eval.models.messages import Actions, EvalRequest, EvalTask, Setup
+from factory.eval.models.messages import Actions, EvalRequest, EvalSetup, EvalTask
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import EvalSpec, SpecSet
 from factory.eval.policies.registry import find_policy
-from factory.eval.specs.from_dataset import Places
+from factory.eval.specs.from_dataset import LoadedScenes
 from schemas.bundle import BundleReader
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.instruction.templates import TEMPLATES, instruction, needs_colour
@@ -64,11 +64,11 @@ def playback_sources(specs: SpecSet) -> dict[str, str]:
         )
     rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _DONOR_STREAM)))
     ring = [recorded[int(number)] for number in rng.permutation(len(recorded))]
-    found: dict[str, str] = {}
+    sources: dict[str, str] = {}
     for place, spec in enumerate(ring):
         others = (ring[(place + step) % len(ring)].source_episode for step in range(1, len(ring)))
-        found[spec.spec_id] = next(name for name in others if name is not None and name != spec.source_episode)
-    return found
+        sources[spec.spec_id] = next(name for name in others if name is not None and name != spec.source_episode)
+    return sources
 
 
 def _shuffled(specs: SpecSet) -> dict[str, str]:
@@ -78,11 +78,11 @@ def _shuffled(specs: SpecSet) -> dict[str, str]:
         )
     rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _SHUFFLE_STREAM)))
     ring = [specs.specs[int(number)] for number in rng.permutation(len(specs.specs))]
-    found: dict[str, str] = {}
+    shuffled: dict[str, str] = {}
     for place, spec in enumerate(ring):
         others = (ring[(place + step) % len(ring)].instruction for step in range(1, len(ring)))
-        found[spec.spec_id] = next(words for words in others if words != spec.instruction)
-    return found
+        shuffled[spec.spec_id] = next(words for words in others if words != spec.instruction)
+    return shuffled
 
 
 def _wrong(spec: EvalSpec, scene: SceneInfo) -> str:
@@ -140,14 +140,14 @@ class Campaign:
     """Dataset directory with the scenes."""
     policies: tuple[str, ...]
     variants: tuple[Variant, ...]
-    setup: Setup
+    setup: EvalSetup
     processes: int = 1
     """Number of driver processes on this machine."""
     with_pose: bool = False
     """Whether observations contain the pose in the frame of the start pose."""
 
 
-def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -> list[EvalTask]:
+def tasks_for(campaign: Campaign, policy: str, places: LoadedScenes, first: int = 1) -> list[EvalTask]:
     """Returns all tasks of a policy in the order of execution: by variant, scene and position in the set.
 
     Args:
@@ -162,7 +162,9 @@ def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -
     variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
     needs_scenes = Variant.WRONG in variants
     scenes = {
-        spec.scene_sha256: places.load(spec.scene, spec.scene_sha256).scene.info for spec in specs.specs if needs_scenes
+        spec.scene_sha256: places.load(spec.scene, spec.scene_sha256).compiled.info
+        for spec in specs.specs
+        if needs_scenes
     }
     recorded = _recordings(policy, specs) if entry.needs_recording else {}
     tasks: list[EvalTask] = []

@@ -36,7 +36,7 @@ ProgressCallback = Callable[[int, int], None]
 """Called with finished and total episodes."""
 
 
-class Places:
+class LoadedScenes:
     """Cache of the scenes of a dataset, loaded on demand; keeps the most recent ones."""
 
     def __init__(self, root: Place, keep: int = 4) -> None:
@@ -86,7 +86,7 @@ def specs_of_dataset(
     names = part.column("episode_id").to_pylist()
     chosen = [names[place] for place in spread(len(names), episodes)]
     source = f"episodes of {dataset.meta.run}, splits {', '.join(str(split) for split in splits)}"
-    places = Places(dataset.root)
+    places = LoadedScenes(dataset.root)
     specs: dict[str, EvalSpec] = {}
     # process by scene and target, to reuse derived data; the returned specs have the order of the plan
     order = sorted(
@@ -104,7 +104,7 @@ def specs_of_dataset(
     )
 
 
-def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
+def spec_of_episode(episode: Episode, places: LoadedScenes) -> EvalSpec:
     meta, job = episode.meta, episode.meta.job
     drawn = _drawn_pose(meta, places.load(job.scene, job.scene_sha256))
     seen = categories_in_view(episode.ids(0), episode.instances, job.gains.min_mask_px)
@@ -144,9 +144,9 @@ def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
         raise UsageError(f"{dataset.root} has no episodes in {', '.join(empty)}; splits with episodes: {there}")
 
 
-def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, float] | None:
+def _drawn_pose(meta: EpisodeMeta, scene: LoadedScene) -> tuple[float, float, float] | None:
     """Redraws the start pose of the attempt; returns `None` if this version draws another pose."""
-    target = place.scene.info.target(meta.job.target_id)
+    target = scene.compiled.info.target(meta.job.target_id)
     x, y, yaw = meta.rollout.spawn_pose
 
     def is_recorded(pose: Pose) -> bool:
@@ -155,6 +155,6 @@ def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, fl
 
     # instead of the check of the start view, which would render the view, compare with the recorded pose
     accepts = is_recorded if meta.job.start_view else (lambda _pose: True)
-    draws = draw_poses(meta.job, target, place, meta.job.rng(), accepts)
-    found = next(filter(is_recorded, draws), None)
-    return None if found is None else (found.x, found.y, found.yaw)
+    draws = draw_poses(meta.job, target, scene=scene, rng=meta.job.rng(), accepts=accepts)
+    drawn = next(filter(is_recorded, draws), None)
+    return None if drawn is None else (drawn.x, drawn.y, drawn.yaw)

@@ -18,7 +18,7 @@ from coordinator.expansion.plan_file import shrink
 from factory.dataset.reader import Dataset
 from factory.eval.driving.simulator import Simulator, UnstableStart
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
-from factory.eval.specs.from_dataset import Places, categories_in_view
+from factory.eval.specs.from_dataset import LoadedScenes, categories_in_view
 from factory.runs.scene_packages import find_package
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
@@ -32,7 +32,7 @@ from workers.geometry.grid import body_centre
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.aim import find_aim, is_view_clear, start_target
-from workers.sim.context import LoadedScene, SceneRenderer
+from workers.sim.context import LoadedScene, SimulationContext
 from workers.sim.spawn import Start, draw_among
 
 _DRAW_STREAM, _SEED_STREAM = 21, 22
@@ -46,7 +46,7 @@ def unfiltered_specs(
     splits: Collection[Split],
     episodes: int,
     seed: int,
-    stage: SceneRenderer,
+    context: SimulationContext,
     tell: ProgressCallback = lambda _done, _total: None,
 ) -> SpecSet:
     """Returns newly drawn specs, in the split shares of the dataset's plan.
@@ -59,7 +59,7 @@ def unfiltered_specs(
         splits: Splits, weighted by their shares in the plan.
         episodes: Number of episodes.
         seed: Root seed.
-        stage: Open scene renderer, used for the view at each start.
+        context: Open scene renderer, used for the view at each start.
         tell: Progress callback.
 
     Raises:
@@ -68,14 +68,14 @@ def unfiltered_specs(
     """
     catalog = {name: find_package(dataset.root, name, sha256) for name, sha256 in dataset.meta.scenes.items()}
     plan = _plan(dataset.meta.plan, splits, episodes, seed)
-    places = Places(dataset.root)
+    places = LoadedScenes(dataset.root)
     settings = EvalSettings.of(plan)
     specs: dict[int, EvalSpec] = {}
     planned = sorted(expand(plan, catalog), key=lambda job: (job.episode.scene, job.episode.target_id))
-    with Simulator(stage, settings) as simulator:
+    with Simulator(context, settings) as simulator:
         for done, job in enumerate(planned, 1):
-            place = places.load(job.episode.scene, catalog[job.episode.scene].sha256)
-            specs[job.index] = _spec(plan, catalog, job, place, simulator, stage)
+            scene = places.load(job.episode.scene, catalog[job.episode.scene].sha256)
+            specs[job.index] = _spec(plan, catalog, planned=job, scene=scene, simulator=simulator, context=context)
             tell(done, len(planned))
     names = ", ".join(str(split) for split in splits)
     return SpecSet(
@@ -101,9 +101,9 @@ def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Pl
             fixed = scene.as_scene() if isinstance(scene, LayoutPlan) else scene
             scenes.append(fixed.model_copy(update={"splits": shares}))
     if not scenes:
-        asked = ", ".join(splits)
+        wanted = ", ".join(splits)
         raise UsageError(
-            f"no scene of {plan.run} has held-out categories or unseen layouts, so {asked} has no episodes"
+            f"no scene of {plan.run} has held-out categories or unseen layouts, so {wanted} has no episodes"
         )
     splits_in_force = scenes[0].splits
     changed = plan.model_copy(update={"scenes": tuple(scenes), "splits": splits_in_force, "expert": ExpertName.PLANNER})
@@ -120,28 +120,35 @@ def _shares(planned: Mapping[Split, float], splits: Collection[Split]) -> dict[S
 
 
 def _spec(
-    plan: Plan, catalog: Catalog, planned: PlannedJob, place: LoadedScene, simulator: Simulator, stage: SceneRenderer
+    plan: Plan,
+    catalog: Catalog,
+    planned: PlannedJob,
+    scene: LoadedScene,
+    simulator: Simulator,
+    context: SimulationContext,
 ) -> EvalSpec:
     for _ in range(_REDRAWS):
         job = to_job(plan, catalog, planned, attempt=1)
-        for pose in _draw_poses(job, place, stage):
+        for pose in _draw_poses(job, scene, context):
             try:
-                view = simulator.reset(_described(job, pose), place)
+                view = simulator.reset(_described(job, pose), scene)
             except UnstableStart:
                 continue
-            if not is_view_clear(job, place.scene.info, stage.renderer, view.pose):
+            if not is_view_clear(job, scene.compiled.info, context.renderer, view.pose):
                 continue
-            aim = find_aim(job, place, stage.renderer, view.pose)
+            aim = find_aim(job, scene, context.renderer, view.pose)
             if aim is None:
                 continue
-            drawn, target, said = _described(aim.job, pose), aim.target, aim.said
+            drawn, target, instruction = _described(aim.job, pose), aim.target, aim.instruction
             if aim.choices:  # the target was drawn: measure the distance to it
-                view = simulator.reset(drawn, place)
-            if said is not None:
-                drawn = drawn.model_copy(update={"instruction": said.text, "template_id": said.template_id})
-            instances, pixels = place.scene.info.instances, plan.gains.min_mask_px
+                view = simulator.reset(drawn, scene)
+            if instruction is not None:
+                drawn = drawn.model_copy(
+                    update={"instruction": instruction.text, "template_id": instruction.template_id}
+                )
+            instances, pixels = scene.compiled.info.instances, plan.gains.min_mask_px
             way = (
-                None if job.is_false_premise else geodesic_m(place.grid, (view.pose.x, view.pose.y), target, plan.task)
+                None if job.is_false_premise else geodesic_m(scene.grid, (view.pose.x, view.pose.y), target, plan.task)
             )
             return drawn.model_copy(
                 update={
@@ -174,32 +181,32 @@ def _described(job: Job, pose: Start) -> EvalSpec:
     )
 
 
-def _draw_poses(job: Job, place: LoadedScene, stage: SceneRenderer) -> Iterator[Start]:
+def _draw_poses(job: Job, scene: LoadedScene, context: SimulationContext) -> Iterator[Start]:
     """Yields free poses on the connected floor whose view meets the conditions of the instruction.
 
     Yields at most `physics_draws` poses. An attempt of data collection tests the same number in the simulation.
     """
-    stage.renderer.load(place.scene, job.camera)
+    context.renderer.load(scene.compiled, job.camera)
     rng = np.random.default_rng(np.random.SeedSequence((job.root_seed, _DRAW_STREAM, job.index, job.draw)))
-    target = start_target(job, place.scene.info)
-    left, z = job.spawn.physics_draws, place.scene.info.floor_height_m
+    target = start_target(job, scene.compiled.info)
+    left, z = job.spawn.physics_draws, scene.compiled.info.floor_height_m
     for _ in range(job.spawn.grid_draws):
-        x, y, yaw = _draw(job, target, place, rng)
-        is_on_floor = bool(place.grid.values_at(place.scene.reachable, body_centre(x, y, yaw), 0))
-        if not (is_on_floor and place.grid.is_pose_free(x, y, yaw, job.spawn.margin_m)):
+        x, y, yaw = _draw(job, target, scene, rng)
+        is_on_floor = bool(scene.grid.values_at(scene.compiled.reachable, body_centre(x, y, yaw), 0))
+        if not (is_on_floor and scene.grid.is_pose_free(x, y, yaw, job.spawn.margin_m)):
             continue
         # without this test, "the chair in front of you" could be behind the robot
-        if is_view_clear(job, place.scene.info, stage.renderer, Pose.planar(x, y, yaw, z=z)):
+        if is_view_clear(job, scene.compiled.info, context.renderer, Pose.planar(x, y, yaw, z=z)):
             yield x, y, yaw
             left -= 1
             if left == 0:
                 return
 
 
-def _draw(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Start:
+def _draw(job: Job, target: Target, scene: LoadedScene, rng: np.random.Generator) -> Start:
     """Returns a random pose of the tier, drawn as in the paper (Sec. III-D), without any check."""
     if job.tier is Tier.FAR:
-        x, y, yaw = draw_among(place.scene.spawns, job, target, rng)[0].tolist()
+        x, y, yaw = draw_among(scene.compiled.spawns, job, target, rng)[0].tolist()
         return x, y, yaw
     distance, bearing = rng.uniform(*TIER_RANGE_M[job.tier]), rng.uniform(-math.pi, math.pi)
     noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad)

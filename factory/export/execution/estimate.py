@@ -85,7 +85,7 @@ def estimate_export(order: ExportOrder) -> ExportEstimate:
 
 def _measure(order: ExportOrder, dataset: Dataset) -> tuple[str, int, int, float]:
     """Exports the first readable episode near the median length; returns its id, frames, bytes and seconds."""
-    said = ""
+    error_text = ""
     for name in _by_nearness_to_the_median(dataset)[:_TRIES]:
         with tempfile.TemporaryDirectory(prefix="export-") as place:
             trial = dataclasses.replace(order, out=Path(place) / "out", splits=(), episodes=(name,), workers=0)
@@ -93,10 +93,10 @@ def _measure(order: ExportOrder, dataset: Dataset) -> tuple[str, int, int, float
             try:
                 report = run_export(trial)
             except WorldError as error:
-                said = str(error)
+                error_text = str(error)
                 continue
             return name, report.frames, report.bytes, time.monotonic() - started
-    raise WorldError(f"{order.root}: {_TRIES} sample episodes could not be exported: {said}")
+    raise WorldError(f"{order.root}: {_TRIES} sample episodes could not be exported: {error_text}")
 
 
 def _by_nearness_to_the_median(dataset: Dataset) -> list[str]:

@@ -95,8 +95,8 @@ def _require_as_listed(episode: Episode) -> None:
     """Validates that the content of a file matches its row of the metadata."""
     meta, row = episode.meta, episode.summary
     if (meta.episode_id, meta.content_digest) != (row.episode_id, row.content_digest):
-        found = f"{meta.episode_id} with content digest {meta.content_digest}, but the table has {row.content_digest}"
-        raise ArchiveCorrupt(f"{episode.path} contains {found}: run `factory verify --deep`")
+        problem = f"{meta.episode_id} with content digest {meta.content_digest}, but the table has {row.content_digest}"
+        raise ArchiveCorrupt(f"{episode.path} contains {problem}: run `factory verify --deep`")
 
 
 _NAMED = 5
@@ -202,7 +202,9 @@ def run_export(
     with Output(order.out) as out:
         if there is None:
             write_manifest(out, manifest)
-        state = _State(order, exporter, dataset, out, stop or threading.Event(), on_progress)
+        state = _State(
+            order, exporter, dataset=dataset, out=out, stop=stop or threading.Event(), on_progress=on_progress
+        )
         _make_pieces(state)
         if not state.stop.is_set():
             manifest = _finish(state, manifest)

@@ -126,17 +126,17 @@ def require_same_export(root: Path, wanted: ExportManifest) -> ExportManifest | 
         WorldError: the directory contains other files, an export of another dataset, format or options, or an
             unfinished export of other software.
     """
-    found = read_manifest(root) if root.is_dir() else None
-    if found is None:
+    manifest = read_manifest(root) if root.is_dir() else None
+    if manifest is None:
         if root.exists() and (not root.is_dir() or _entries(root)):
             raise WorldError(f"{root} exists and is not an export ({MANIFEST_FILE} is missing): choose another --out")
         return None
-    differences = [text for text in _differences(found, wanted) if text]
+    differences = [text for text in _differences(manifest, wanted) if text]
     if differences:
         raise WorldError(
             f"{root} contains another export: {'; '.join(differences)}; delete it, or choose another --out"
         )
-    return found
+    return manifest
 
 
 def of_software(meta: DatasetMeta, modules: tuple[str, ...]) -> dict[str, str]:
@@ -148,17 +148,17 @@ def _entries(root: Path) -> list[str]:
     return [path.name for path in root.iterdir() if path.name != WORK_FOLDER]
 
 
-def _differences(found: ExportManifest, wanted: ExportManifest) -> list[str]:
-    one, two = found.source, wanted.source
+def _differences(recorded: ExportManifest, wanted: ExportManifest) -> list[str]:
+    one, two = recorded.source, wanted.source
     texts = [
-        _differ("format", found.format, wanted.format),
+        _differ("format", recorded.format, wanted.format),
         _differ("dataset", f"{one.run} {one.dataset_digest[:12]}", f"{two.run} {two.dataset_digest[:12]}"),
-        _differ("options", _format_pairs(found.options), _format_pairs(wanted.options)),
+        _differ("options", _format_pairs(recorded.options), _format_pairs(wanted.options)),
     ]
     if not any(texts):
         texts.append(_differ("episodes", _selection(one), _selection(two)))
-    if not any(texts) and not found.complete:
-        versions = (f"version {found.format_version}", _format_pairs(found.software))
+    if not any(texts) and not recorded.complete:
+        versions = (f"version {recorded.format_version}", _format_pairs(recorded.software))
         texts.append(_differ("unfinished, started with", ", ".join(versions), _versions(wanted)))
     return texts
 
@@ -171,8 +171,8 @@ def _selection(source: Source) -> str:
     return f"{source.episodes} of {' '.join(source.splits) or 'all splits'} ({source.selection_digest[:12]})"
 
 
-def _differ(what: str, found: str, wanted: str) -> str:
-    return "" if found == wanted else f"{what} {found}, requested {wanted}"
+def _differ(what: str, recorded: str, wanted: str) -> str:
+    return "" if recorded == wanted else f"{what} {recorded}, requested {wanted}"
 
 
 def _format_pairs(values: dict[str, Any]) -> str:

@@ -16,14 +16,14 @@ def parse_episodes(text: str) -> list[str]:
     Raises:
         UsageError: a part is not a number, an id or a range.
     """
-    found: dict[str, None] = {}
+    episodes: dict[str, None] = {}
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
         low, high = _number(first, text), _number(last if dash else first, text)
         if high < low:
             raise UsageError(f"--episode {text}: {part.strip()} ends before it begins")
-        found.update(dict.fromkeys(episode_id(index) for index in range(low, high + 1)))
-    return list(found)
+        episodes.update(dict.fromkeys(episode_id(index) for index in range(low, high + 1)))
+    return list(episodes)
 
 
 def select(
@@ -58,8 +58,8 @@ def select(
             episode=[name for name in dataset.column("episode_id").to_pylist() if name not in omitted]
         )
     if not len(dataset):
-        asked = f" in {', '.join(wanted_splits)}" if wanted_splits else ""
-        raise UsageError(f"{dataset.root} has no episodes{asked}; splits with episodes: {', '.join(held) or 'none'}")
+        within = f" in {', '.join(wanted_splits)}" if wanted_splits else ""
+        raise UsageError(f"{dataset.root} has no episodes{within}; splits with episodes: {', '.join(held) or 'none'}")
     return dataset
 
 

@@ -159,7 +159,9 @@ class LeRobotExport:
     def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
         text = card_text(version, self)
-        self.out.write_text(CARD_FILE, export_card(self.meta, len(self.numbering), text, configs, ["LeRobot"]))
+        self.out.write_text(
+            CARD_FILE, export_card(self.meta, len(self.numbering), text=text, configs=configs, tags=["LeRobot"])
+        )
 
     def write_stats(self, stats: Stats) -> None:
         self._write_json("meta/stats.json", stats)

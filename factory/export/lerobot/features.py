@@ -48,18 +48,18 @@ _IMAGE_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
 def features_of(layout: Layout, fps: int) -> dict[str, Any]:
     """Returns the `features` of `info.json`."""
-    found: dict[str, Any] = {}
+    features: dict[str, Any] = {}
     for image in layout.images:
         shape = [image.height, image.width, image.channels]
-        found[image.key] = {"dtype": "video" if image.is_video else "image", "shape": shape, "names": _IMAGE_NAMES}
+        features[image.key] = {"dtype": "video" if image.is_video else "image", "shape": shape, "names": _IMAGE_NAMES}
         if image.is_video:
-            found[image.key]["info"] = (
+            features[image.key]["info"] = (
                 _rgb_info(image, fps) if image.output is CameraOutput.RGB else _depth_info(image, fps)
             )
     for name, column in layout.columns.items():
         names = list(column.names) if column.names else None
-        found[name] = {"dtype": column.dtype, "shape": list(column.shape) or [1], "names": names}
-    return found
+        features[name] = {"dtype": column.dtype, "shape": list(column.shape) or [1], "names": names}
+    return features
 
 
 def data_schema(layout: Layout, list_type: Literal["List", "Sequence"] = "List") -> pa.Schema:

@@ -94,9 +94,9 @@ def layout_of(options: LeRobotOptions, recorded: CameraConfig, rig: Rig | None) 
     if rig is None:
         size, far = FRAME_SIZE_PX, recorded.far_m
         images = [
-            ImageFeature(RGB, CameraOutput.RGB, size, size, "front.mp4", far),
-            ImageFeature(DEPTH, CameraOutput.DEPTH, size, size, "depth.mp4", far),
-            ImageFeature(IDS, CameraOutput.IDS, size, size, "", far),
+            ImageFeature(RGB, CameraOutput.RGB, width=size, height=size, file="front.mp4", largest_m=far),
+            ImageFeature(DEPTH, CameraOutput.DEPTH, width=size, height=size, file="depth.mp4", largest_m=far),
+            ImageFeature(IDS, CameraOutput.IDS, width=size, height=size, file="", largest_m=far),
         ]
     else:
         images = [image for camera in rig.cameras for image in _images_of(camera, wanted)]
@@ -129,7 +129,9 @@ def _images_of(camera: Camera, wanted: Mapping[CameraOutput, bool]) -> Iterator[
             file = "" if output is CameraOutput.IDS else f"{name}.mp4"
             far = largest_depth(camera) if output is CameraOutput.DEPTH else camera.far_m
             key = f"observation.images.{name}"
-            yield ImageFeature(key, output, camera.width, camera.height, file, far, camera)
+            yield ImageFeature(
+                key, output, width=camera.width, height=camera.height, file=file, largest_m=far, camera=camera
+            )
 
 
 def largest_depth(camera: Camera) -> float:

@@ -96,15 +96,19 @@ def number_pieces(pieces: Sequence[ExportPiece[LeRobotFacts]], stride: int) -> N
     """
     ordered = sorted(pieces, key=lambda piece: (_SPLIT_ORDER.get(piece.split, len(_SPLIT_ORDER)), piece.split))
     tasks: dict[str, int] = {}
-    found: list[Numbered] = []
+    numbered: list[Numbered] = []
     first = 0
     for number, piece in enumerate(ordered):
         row = piece.dataset[piece.position].summary
         task = row.instruction
         frames = -(-row.num_steps // stride)
-        found.append(Numbered(piece, number, tasks.setdefault(task, len(tasks)), task, first, frames))
+        numbered.append(
+            Numbered(
+                piece, number, task_index=tasks.setdefault(task, len(tasks)), task=task, first=first, frames=frames
+            )
+        )
         first += frames
-    return Numbering(found, tuple(tasks), _ranges(ordered), first)
+    return Numbering(numbered, tuple(tasks), _ranges(ordered), first)
 
 
 def _ranges(ordered: Sequence[ExportPiece[LeRobotFacts]]) -> dict[str, str]:

@@ -93,7 +93,9 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
     with ExitStack() as stack:
         writers = {
             image.key: stack.enter_context(
-                VideoWriter(folder / image.file, _CODECS[image.output], hz // stride, image.width, image.height)
+                VideoWriter(
+                    folder / image.file, _CODECS[image.output], fps=hz // stride, width=image.width, height=image.height
+                )
             )
             for image in layout.videos
         }

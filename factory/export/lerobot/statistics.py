@@ -40,8 +40,8 @@ def vector_stats(values: NDArray[np.generic]) -> Stats:
         "std": table.std(axis=0).tolist(),
         "count": [len(table)],
     }
-    found = np.quantile(table, list(QUANTILES.values()), axis=0)
-    return stats | {name: row.tolist() for name, row in zip(QUANTILES, found, strict=True)}
+    quantiles = np.quantile(table, list(QUANTILES.values()), axis=0)
+    return stats | {name: row.tolist() for name, row in zip(QUANTILES, quantiles, strict=True)}
 
 
 class ImageCounts(Model):

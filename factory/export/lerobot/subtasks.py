@@ -62,7 +62,7 @@ def question_rows(questions: Sequence[Question], camera: str, stride: int, frame
         stride: stride of the exported frames.
         frames: number of exported frames.
     """
-    found: list[list[dict[str, Any]]] = [[] for _ in range(frames)]
+    rows: list[list[dict[str, Any]]] = [[] for _ in range(frames)]
     # events, because a persistent row would be active until the next one, when its answer is no longer valid
     shared = {"style": "vqa", "camera": camera, "tool_calls": None}
     for each in questions:
@@ -70,11 +70,11 @@ def question_rows(questions: Sequence[Question], camera: str, stride: int, frame
         if t < frames and t * stride < each.end:
             space = "" if each.language in _UNSPACED else " "
             answer = each.answer if each.reason is None else f"{each.answer}{space}{each.reason}"
-            found[t] += [
+            rows[t] += [
                 {"role": "user", "content": each.question, **shared},
                 {"role": "assistant", "content": answer, **shared},
             ]
-    return found
+    return rows
 
 
 def with_questions(table: pa.Table, rows: Sequence[Sequence[dict[str, Any]]]) -> pa.Table:

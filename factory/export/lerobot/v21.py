@@ -113,9 +113,9 @@ def _write_lists(dataset: LeRobotExport, stats: DatasetStats) -> None:
             episodes.write(_line(row | numbered.about()))
     with dataset.out.replacing("meta/episodes_stats.jsonl") as part, part.open("w", encoding="utf-8") as lines:
         for numbered in dataset.numbering:
-            found = episode_stats(numbered, dataset.layout)
-            stats.merge(numbered, found)
-            lines.write(_line({"episode_index": numbered.episode_index, "stats": found}))
+            stats_of_episodes = episode_stats(numbered, dataset.layout)
+            stats.merge(numbered, stats_of_episodes)
+            lines.write(_line({"episode_index": numbered.episode_index, "stats": stats_of_episodes}))
     tasks = [{"task_index": number, "task": task} for number, task in enumerate(dataset.numbering.tasks)]
     dataset.out.write_text("meta/tasks.jsonl", "".join(map(_line, tasks)))
 
@@ -125,7 +125,9 @@ def _without_counts(stats: Stats) -> Stats:
 
     GR00T divides every statistic into the parts of state and action, but `count` has only one value.
     """
-    return {key: {name: value for name, value in found.items() if name != "count"} for key, found in stats.items()}
+    return {
+        key: {name: value for name, value in statistics.items() if name != "count"} for key, statistics in stats.items()
+    }
 
 
 def _line(values: dict[str, Any]) -> str:

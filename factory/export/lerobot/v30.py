@@ -47,7 +47,7 @@ _EPISODES_A_BATCH = 200
 _FILE = "chunk-{:03d}/file-{:03d}"
 _TEMPLATE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _SCALAR, _NESTED = pa.list_(pa.float64()), pa.list_(pa.list_(pa.list_(pa.float64())))
-Places = dict[int, tuple[int, int, float]]
+FilePositions = dict[int, tuple[int, int, float]]
 """Episode index -> chunk index, file index, and start time in the video file, seconds (0 for a data file)."""
 
 
@@ -81,7 +81,7 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
     data = _write_data(dataset, limits)
     videos = {image.key: _write_videos(dataset, image, limits) for image in dataset.layout.videos}
     stats = DatasetStats(dataset.layout)
-    _write_episodes(dataset, data, videos, stats, limits)
+    _write_episodes(dataset, data, videos=videos, stats=stats, limits=limits)
     dataset.write_stats(stats.result(dataset.numbering))
     with dataset.out.replacing("meta/tasks.parquet") as part:
         pq.write_table(tasks_table(dataset.numbering.tasks), part, compression="snappy")
@@ -135,9 +135,9 @@ def tasks_table(tasks: Sequence[str]) -> pa.Table:
     return pa.table([list(range(len(tasks))), list(tasks)], schema=schema)
 
 
-def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
+def _write_data(dataset: LeRobotExport, limits: FileLimits) -> FilePositions:
     """Writes the data files with one row group per episode and returns the position of each episode."""
-    places: Places = {}
+    places: FilePositions = {}
     schema = data_schema(dataset.layout)
     for name, kind in _language_types(dataset).items():
         # the metadata for `datasets` does not describe the language columns; readers take the features from info.json
@@ -160,8 +160,8 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> Places:
 
 def _language_types(dataset: LeRobotExport) -> dict[str, pa.DataType]:
     """Returns the language columns of a dataset with their types."""
-    asked = {} if dataset.asked_about is None else {EVENTS: EVENTS_TYPE}
-    return ({COLUMN: TYPE} if dataset.has_routes else {}) | asked
+    event_types = {} if dataset.asked_about is None else {EVENTS: EVENTS_TYPE}
+    return ({COLUMN: TYPE} if dataset.has_routes else {}) | event_types
 
 
 def _with_language(table: pa.Table, dataset: LeRobotExport, numbered: Numbered) -> pa.Table:
@@ -174,9 +174,9 @@ def _with_language(table: pa.Table, dataset: LeRobotExport, numbered: Numbered) 
     return table
 
 
-def _write_videos(dataset: LeRobotExport, image: ImageFeature, limits: FileLimits) -> Places:
+def _write_videos(dataset: LeRobotExport, image: ImageFeature, limits: FileLimits) -> FilePositions:
     """Writes the video files of a feature and returns the position of each episode."""
-    places: Places = {}
+    places: FilePositions = {}
     for number, group in enumerate(_grouped(dataset.numbering, image.file, limits.video_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         first = group[0].first
@@ -189,7 +189,11 @@ def _write_videos(dataset: LeRobotExport, image: ImageFeature, limits: FileLimit
 
 
 def _write_episodes(
-    dataset: LeRobotExport, data: Places, videos: dict[str, Places], stats: DatasetStats, limits: FileLimits
+    dataset: LeRobotExport,
+    data: FilePositions,
+    videos: dict[str, FilePositions],
+    stats: DatasetStats,
+    limits: FileLimits,
 ) -> None:
     """Writes `meta/episodes` and merges the statistics of every episode."""
     numbering = dataset.numbering
@@ -204,15 +208,15 @@ def _write_episodes(
             for first in range(0, len(some), _EPISODES_A_BATCH):
                 rows = []
                 for numbered in some[first : first + _EPISODES_A_BATCH]:
-                    found = episode_stats(numbered, dataset.layout)
-                    stats.merge(numbered, found)
+                    stats_of_episodes = episode_stats(numbered, dataset.layout)
+                    stats.merge(numbered, stats_of_episodes)
                     where = _placed(numbered, dataset.fps, data, videos, place)
-                    rows.append(where | _flat(found) | numbered.about())
+                    rows.append(where | _flat(stats_of_episodes) | numbered.about())
                 writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
 def _placed(
-    numbered: Numbered, fps: int, data: Places, videos: dict[str, Places], place: tuple[int, int]
+    numbered: Numbered, fps: int, data: FilePositions, videos: dict[str, FilePositions], place: tuple[int, int]
 ) -> dict[str, Any]:
     chunk, file, _ = data[numbered.episode_index]
     row: dict[str, Any] = {
@@ -233,7 +237,7 @@ def _placed(
 
 
 def _flat(stats: Stats) -> dict[str, Any]:
-    return {f"stats/{key}/{stat}": value for key, found in stats.items() for stat, value in found.items()}
+    return {f"stats/{key}/{stat}": value for key, values in stats.items() for stat, value in values.items()}
 
 
 def _grouped(numbering: Numbering, file: str, limit_mib: int) -> Iterator[list[Numbered]]:

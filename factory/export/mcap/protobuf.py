@@ -77,11 +77,11 @@ def _class_of_fields(message: str) -> Any:
         name="minivla.proto",
         package=package,
         syntax="proto3",
-        dependency=[found.name for found in imports],
+        dependency=[imported.name for imported in imports],
         message_type=[{"name": name, "field": [_field(*field) for field in enumerate(_FIELDS[message], 1)]}],
     )
     pool = descriptor_pool.DescriptorPool()
-    for data in (*(found.serialized_pb for found in imports), file.SerializeToString()):
+    for data in (*(imported.serialized_pb for imported in imports), file.SerializeToString()):
         pool.AddSerializedFile(data)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(message))
 

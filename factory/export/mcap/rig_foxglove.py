@@ -56,15 +56,15 @@ def _camera_messages(camera: Camera, images: dict[str, Array], head: dict[str, A
         data = image.astype(image.dtype.newbyteorder("<"), copy=False).tobytes()
         size = {"width": camera.width, "height": camera.height, "step": len(data) // camera.height}
         yield TopicMessage(topic, {**head, **size, "encoding": _ENCODINGS[output], "data": data}, "foxglove.RawImage")
-    if (found := intrinsics_of(camera)) is not None:
+    if (intrinsics := intrinsics_of(camera)) is not None:
         values = {
             "width": camera.width,
             "height": camera.height,
-            "distortion_model": "kannala_brandt" if found.is_fisheye else "plumb_bob",
-            "D": found.distortion,
-            "K": found.matrix,
+            "distortion_model": "kannala_brandt" if intrinsics.is_fisheye else "plumb_bob",
+            "D": intrinsics.distortion,
+            "K": intrinsics.matrix,
             "R": np.eye(3).ravel().tolist(),
-            "P": found.projection,
+            "P": intrinsics.projection,
         }
         yield TopicMessage(f"/{camera.name}/calibration", head | values, "foxglove.CameraCalibration")
 

@@ -62,18 +62,18 @@ def _camera_messages(camera: Camera, images: dict[str, Array], head: dict[str, A
 
 
 def _camera_info(camera: Camera, head: dict[str, Any]) -> dict[str, Any] | None:
-    found = intrinsics_of(camera)
-    if found is None:
+    intrinsics = intrinsics_of(camera)
+    if intrinsics is None:
         return None
     return {
         "header": head,
         "height": camera.height,
         "width": camera.width,
-        "distortion_model": "equidistant" if found.is_fisheye else "plumb_bob",
-        "d": found.distortion,
-        "k": found.matrix,
+        "distortion_model": "equidistant" if intrinsics.is_fisheye else "plumb_bob",
+        "d": intrinsics.distortion,
+        "k": intrinsics.matrix,
         "r": np.eye(3).ravel(),
-        "p": found.projection,
+        "p": intrinsics.projection,
     }
 
 

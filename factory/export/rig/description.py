@@ -106,8 +106,8 @@ def rig_json(rig: Rig, control_hz: int) -> str:
     values = rig.model_dump(mode="json")
     values["control_hz"] = control_hz
     values["optical_quaternion_wxyz"] = OPTICAL_QUATERNION
-    for sensor, found in zip(rig.sensors, values["sensors"], strict=True):
-        found |= _derived(sensor, control_hz)
+    for sensor, values_of_sensor in zip(rig.sensors, values["sensors"], strict=True):
+        values_of_sensor |= _derived(sensor, control_hz)
     return to_json(values) + "\n"
 
 

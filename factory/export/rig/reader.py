@@ -59,21 +59,21 @@ class SensorReader:
 
     def scan(self, lidar: Lidar2d | Lidar3d, t: int) -> LidarScan:
         """Returns the latest scan of a lidar at or before step t."""
-        found = self.latest(lidar.name, t)
-        assert isinstance(found, LidarScan)
-        return found
+        latest = self.latest(lidar.name, t)
+        assert isinstance(latest, LidarScan)
+        return latest
 
     def arrays(self, sensor: Camera | Lidar2d | Lidar3d, t: int) -> dict[str, Array]:
         """Returns the latest outputs of a camera, or `ranges` and `ids` of a lidar, at or before step t.
 
         The flow of the last image is NaN, because no image follows.
         """
-        found = self.latest(sensor.name, t)
-        if isinstance(found, LidarScan):
-            return {"ranges": found.ranges, "ids": found.ids}
+        arrays = self.latest(sensor.name, t)
+        if isinstance(arrays, LidarScan):
+            return {"ranges": arrays.ranges, "ids": arrays.ids}
         assert isinstance(sensor, Camera)
         blank = np.full((sensor.height, sensor.width, 2), np.nan, np.float32)
-        return {output: blank if (image := getattr(found, output)) is None else image for output in sensor.outputs}
+        return {output: blank if (image := getattr(arrays, output)) is None else image for output in sensor.outputs}
 
 
 def arrays_of(motion: Motion) -> dict[str, Array]:

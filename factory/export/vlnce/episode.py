@@ -114,7 +114,7 @@ def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[tuple[fl
 
 
 def vlnce_episode(
-    meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float, said: EpisodeText
+    meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float, text: EpisodeText
 ) -> dict[str, Any]:
     """Returns an entry of `episodes` without tokens, which need the vocabulary of all episodes.
 
@@ -122,7 +122,7 @@ def vlnce_episode(
         meta: metadata of the episode.
         poses: (T, 7) poses of base_link in the REP 103 world frame.
         floor_height_m: height of the floor, metres; goals are on the floor, because a navigation mesh covers only it.
-        said: instruction and its sub-instructions.
+        text: instruction and its sub-instructions.
     """
     job, rollout = meta.job, meta.rollout
     track = thin_track(poses[:, :3])
@@ -137,21 +137,21 @@ def vlnce_episode(
             for x, y in _goal_points(meta, poses)
         ],
         "reference_path": [to_habitat(point) for point in track.tolist()],
-        "instruction": {"instruction_text": said.instruction},
+        "instruction": {"instruction_text": text.instruction},
         "info": {
             "geodesic_distance": meta.route.geodesic_m,
             "minivla_episode_id": meta.episode_id,
             "scene_sha256": job.scene_sha256,
             "split": str(job.split),
             "tier": str(job.tier),
-            "template_id": said.template_id,
+            "template_id": text.template_id,
             "target_category": job.category,
             "target_id": job.target_id,
             "target_colour": job.colour,
             "target_centroid": to_habitat(meta.target_centroid_m),
             "expert_trajectory_length_m": rollout.trajectory_length_m,
             "expert_final_ne_m": rollout.final_ne_m,
-            **({"sub_instructions": [_sub_instruction(each) for each in said.steps]} if said.steps else {}),
+            **({"sub_instructions": [_sub_instruction(each) for each in text.steps]} if text.steps else {}),
         },
     }
 

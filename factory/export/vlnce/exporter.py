@@ -72,8 +72,8 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
         """Writes the entry and the path of one episode."""
         job = episode.meta.job
         info = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
-        said = EpisodeText(episode.instruction, episode.summary.template_id, episode.steps)
-        entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m, said)
+        text = EpisodeText(episode.instruction, episode.summary.template_id, episode.steps)
+        entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m, text)
         locations = [to_habitat(point) for point in episode.poses[:, :3].tolist()]
         (folder / PIECE_FILE).write_text(json.dumps({"entry": entry, "locations": locations}), encoding="utf-8")
         return EpisodeFacts(frames=len(episode))
@@ -114,8 +114,8 @@ def _episodes_json(pieces: Sequence[ExportPiece[EpisodeFacts]], words: list[str]
     yield '{"episodes": ['
     for number, piece in enumerate(pieces):
         entry = _read_piece(piece)["entry"]
-        said = entry["instruction"]
-        said["instruction_tokens"] = tokens_of_text(said["instruction_text"], index, length)
+        instruction = entry["instruction"]
+        instruction["instruction_tokens"] = tokens_of_text(instruction["instruction_text"], index, length)
         yield ("\n" if number == 0 else ",\n") + json.dumps(entry)
     yield '\n], "instruction_vocab": ' + json.dumps({"word_list": words, "num_words": len(words)}) + "}\n"
 
@@ -123,15 +123,17 @@ def _episodes_json(pieces: Sequence[ExportPiece[EpisodeFacts]], words: list[str]
 def _paths_json(pieces: Sequence[ExportPiece[EpisodeFacts]]) -> Iterator[str]:
     yield "{"
     for number, piece in enumerate(pieces):
-        found = _read_piece(piece)
-        path = {"locations": found["locations"]}
-        yield ("\n" if number == 0 else ",\n") + f"{json.dumps(str(found['entry']['episode_id']))}: {json.dumps(path)}"
+        piece_data = _read_piece(piece)
+        path = {"locations": piece_data["locations"]}
+        yield (
+            "\n" if number == 0 else ",\n"
+        ) + f"{json.dumps(str(piece_data['entry']['episode_id']))}: {json.dumps(path)}"
     yield "\n}\n"
 
 
 def _read_piece(piece: ExportPiece[EpisodeFacts]) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((piece.folder / PIECE_FILE).read_text(encoding="utf-8"))
-    return found
+    content: dict[str, Any] = json.loads((piece.folder / PIECE_FILE).read_text(encoding="utf-8"))
+    return content
 
 
 def _write_scene(out: Output, root: Place, name: str, sha256: str) -> None:

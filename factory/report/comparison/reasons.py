@@ -54,7 +54,7 @@ def facts_of(episodes: Sequence[EpisodeSummary]) -> RunFacts | None:
     detour = mean_of(detours)
     if spawn is None or error is None or length is None or steps is None or detour is None:
         return None
-    found = Counter(str(row.spawn_tier) for row in episodes)
+    tiers = Counter(str(row.spawn_tier) for row in episodes)
     return RunFacts(
         n=len(episodes),
         spawn_m=spawn,
@@ -65,7 +65,7 @@ def facts_of(episodes: Sequence[EpisodeSummary]) -> RunFacts | None:
         detour_m=detour,
         detour_std_m=deviation_of(detours),
         geodesic_m=mean_of([row.geodesic_m for row in episodes if row.geodesic_m is not None]),
-        tiers={str(tier): found[tier] / len(episodes) for tier in Tier},
+        tiers={str(tier): tiers[tier] / len(episodes) for tier in Tier},
     )
 
 
@@ -88,23 +88,24 @@ def explain_standardised(statistics: Statistics) -> str:
     """Returns the mean TL weighted by the paper's shares of the tiers."""
     means = {row.group: row.tl_mean_m for row in statistics.tiers}
     total = 0.0
-    for tier, said in paper.TIERS.items():
+    for tier, published in paper.TIERS.items():
         mean = means.get(tier)
-        if mean is None or said.share is None:
+        if mean is None or published.share is None:
             return f" There are no {tier} episodes, so the mean cannot be weighted by the paper's tiers."
-        total += said.share * mean
+        total += published.share * mean
     return f" Weighted by the paper's tiers, the mean is {total:.2f} m."
 
 
-def explain_steps(facts: RunFacts, said: Published) -> str:
+def explain_steps(facts: RunFacts, published: Published) -> str:
     """Explains the mean number of steps by the mean trajectory length and the steps per metre."""
     here = facts.steps_per_m
     text = f"Mean TL {facts.tl_m:.2f} m" + (f" at {here:.1f} steps per metre" if here else "")
-    if said.tl_mean_m is None:
+    if published.tl_mean_m is None:
         return f"{text}."
-    if said.steps_mean is None:
-        return f"{text}; in the paper {said.tl_mean_m:.2f} m."
-    return f"{text}; in the paper {said.tl_mean_m:.2f} m at {said.steps_mean / said.tl_mean_m:.1f} steps per metre."
+    if published.steps_mean is None:
+        return f"{text}; in the paper {published.tl_mean_m:.2f} m."
+    steps_per_m = published.steps_mean / published.tl_mean_m
+    return f"{text}; in the paper {published.tl_mean_m:.2f} m at {steps_per_m:.1f} steps per metre."
 
 
 def explain_floor(material: ReportInput, scene: str) -> str:
@@ -134,7 +135,7 @@ def explain_error(statistics: Statistics) -> str:
     return f"{text}."
 
 
-def explain_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
+def explain_planned(statistics: Statistics, group: Tier | Split, planned: float, published_n: int | None) -> str:
     """Explains a share by the plan: in a plan with few episodes, the quotas only approximate the planned shares."""
     if not statistics.complete:
         state = f"{statistics.episodes} of {statistics.planned} generated so far"
@@ -144,8 +145,8 @@ def explain_planned(statistics: Statistics, group: Tier | Split, asked: float, p
     counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
     mine = sum(cell.planned for cell in statistics.cells if group in {cell.tier, cell.split})
     quota = _percent(mine / max(1, sum(cell.planned for cell in statistics.cells)))
-    cut = "" if quota == _percent(asked) else f" ({quota} after rounding to its {statistics.planned} episodes)"
-    return f"The plan requests {_percent(asked)}{cut}; {state}{counted}."
+    cut = "" if quota == _percent(planned) else f" ({quota} after rounding to its {statistics.planned} episodes)"
+    return f"The plan requests {_percent(planned)}{cut}; {state}{counted}."
 
 
 def explain_largest(statistics: Statistics) -> str:

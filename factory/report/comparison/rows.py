@@ -94,17 +94,17 @@ def _compare(
 def _lengths(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
         yield from _length(material, "lengths", row, _facts(material, row.group))
-        if said := row.paper:
-            ours, published, same = row.tl_median_m, said.tl_median_m, "The reason is the same as for the mean."
-            yield from _compare("lengths", "TL median, all", "TL", ours, published, said.source, str, same)
+        if paper_value := row.paper:
+            ours, published, same = row.tl_median_m, paper_value.tl_median_m, "The reason is the same as for the mean."
+            yield from _compare("lengths", "TL median, all", "TL", ours, published, paper_value.source, str, same)
 
 
 def _length(material: ReportInput, figure: str, row: RolloutRow, facts: RunFacts | None) -> Iterator[PaperComparison]:
-    if said := row.paper:
+    if paper_value := row.paper:
         what = f"TL mean, {row.group if figure == 'splits' else _group_label(row.group)}"
-        ours, published = row.tl_mean_m, said.tl_mean_m
-        kind, why = _kind("TL", row), (_why_length, material, figure, row.group, facts, said)
-        yield from _compare(figure, what, kind, ours, published, said.source, *why, interval=row.tl_interval_m)
+        ours, published = row.tl_mean_m, paper_value.tl_mean_m
+        kind, why = _kind("TL", row), (_why_length, material, figure, row.group, facts, paper_value)
+        yield from _compare(figure, what, kind, ours, published, paper_value.source, *why, interval=row.tl_interval_m)
 
 
 def _kind(name: str, row: RolloutRow) -> str:
@@ -112,11 +112,11 @@ def _kind(name: str, row: RolloutRow) -> str:
     return f"far {name}" if row.group == Tier.FAR else name
 
 
-def _why_length(material: ReportInput, figure: str, group: str, facts: RunFacts | None, said: Published) -> str:
-    published_ne = said.ne_mean_m if said.ne_mean_m is not None else paper.OVERALL.ne_mean_m
-    if facts is None or said.tl_mean_m is None or published_ne is None:
+def _why_length(material: ReportInput, figure: str, group: str, facts: RunFacts | None, published: Published) -> str:
+    published_ne = published.ne_mean_m if published.ne_mean_m is not None else paper.OVERALL.ne_mean_m
+    if facts is None or published.tl_mean_m is None or published_ne is None:
         return ""
-    text = reasons.explain_length(facts, said.tl_mean_m, published_ne)
+    text = reasons.explain_length(facts, published.tl_mean_m, published_ne)
     if figure in {"lengths", "splits"}:
         text += reasons.explain_mix(facts)
     if group == ALL and figure == "lengths":
@@ -125,59 +125,77 @@ def _why_length(material: ReportInput, figure: str, group: str, facts: RunFacts 
 
 
 def _errors(material: ReportInput) -> Iterator[PaperComparison]:
-    said, why = paper.NAVIGATION_ERROR, (reasons.explain_error, material.statistics)
+    published, why = paper.NAVIGATION_ERROR, (reasons.explain_error, material.statistics)
     row = next(row for row in material.statistics.navigation_error if row.group == ALL)
-    yield from _compare("errors", "NE mean", "NE", row.mean, said.ne_mean_m, said.source, *why, interval=row.interval)
-    yield from _compare("errors", "NE standard deviation", "NE spread", row.std, said.ne_std_m, said.source, *why)
+    yield from _compare(
+        "errors", "NE mean", "NE", row.mean, published.ne_mean_m, published.source, *why, interval=row.interval
+    )
+    yield from _compare(
+        "errors", "NE standard deviation", "NE spread", row.std, published.ne_std_m, published.source, *why
+    )
 
 
 def _steps(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
-        if said := row.paper:
-            what, ours, published = f"steps median, {_group_label(row.group)}", row.steps_median, said.steps_median
-            why = (_why_steps, _facts(material, row.group), said, (material, row.group))
-            yield from _compare("steps", what, "steps median", ours, published, said.source, *why)
+        if paper_value := row.paper:
+            what, ours, published = (
+                f"steps median, {_group_label(row.group)}",
+                row.steps_median,
+                paper_value.steps_median,
+            )
+            why = (_why_steps, _facts(material, row.group), paper_value, (material, row.group))
+            yield from _compare("steps", what, "steps median", ours, published, paper_value.source, *why)
 
 
-def _why_steps(facts: RunFacts | None, said: Published, floor: tuple[ReportInput, str] | None = None) -> str:
+def _why_steps(facts: RunFacts | None, published: Published, floor: tuple[ReportInput, str] | None = None) -> str:
     if facts is None:
         return ""
-    return reasons.explain_steps(facts, said) + (reasons.explain_floor(*floor) if floor else "")
+    return reasons.explain_steps(facts, published) + (reasons.explain_floor(*floor) if floor else "")
 
 
 def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.tiers:
-        said = row.paper
-        if said is None or said.steps_mean is None:
+        published = row.paper
+        if published is None or published.steps_mean is None:
             continue
         facts = facts_of([episode for episode in material.episodes if row.group in (ALL, episode.spawn_tier)])
         if row.group != ALL:  # the figure of trajectory lengths compares the mean of all tiers
             yield from _length(material, "tier_statistics", row, facts)
-        what, kind, why = f"steps mean, {row.group}", _kind("steps mean", row), (_why_steps, facts, said)
-        numbers = (row.steps_mean, said.steps_mean, said.source)
+        what, kind, why = f"steps mean, {row.group}", _kind("steps mean", row), (_why_steps, facts, published)
+        numbers = (row.steps_mean, published.steps_mean, published.source)
         yield from _compare("tier_statistics", what, kind, *numbers, *why, interval=row.steps_interval)
         if row.group != ALL:
             what, ours = f"NE mean, {row.group}", row.ne_mean_m
-            error = (said.source, reasons.explain_error, material.statistics)
-            yield from _compare("tier_statistics", what, "NE", ours, said.ne_mean_m, *error, interval=row.ne_interval_m)
+            error = (published.source, reasons.explain_error, material.statistics)
+            yield from _compare(
+                "tier_statistics", what, "NE", ours, published.ne_mean_m, *error, interval=row.ne_interval_m
+            )
 
 
 def _tier_shares(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.tiers:
-        if (said := row.paper) and said.share is not None:
+        if (published := row.paper) and published.share is not None:
             tier = Tier(row.group)
-            why = (reasons.explain_planned, material.statistics, tier, material.meta.plan.tier_share(tier), said.n)
-            yield from _compare("tiers", f"share of {tier}", "share", row.share, said.share, said.source, *why)
+            why = (reasons.explain_planned, material.statistics, tier, material.meta.plan.tier_share(tier), published.n)
+            yield from _compare(
+                "tiers", f"share of {tier}", "share", row.share, published.share, published.source, *why
+            )
 
 
 def _splits(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.splits:
-        said = row.paper
-        if said is None or said.n is None or paper.OVERALL.n is None or row.group == ALL:
+        paper_value = row.paper
+        if paper_value is None or paper_value.n is None or paper.OVERALL.n is None or row.group == ALL:
             continue
-        split, published = Split(row.group), said.n / paper.OVERALL.n
-        why = (reasons.explain_planned, material.statistics, split, material.meta.plan.split_share(split), said.n)
-        yield from _compare("splits", f"share of {split}", "share", row.share, published, said.source, *why)
+        split, published = Split(row.group), paper_value.n / paper.OVERALL.n
+        why = (
+            reasons.explain_planned,
+            material.statistics,
+            split,
+            material.meta.plan.split_share(split),
+            paper_value.n,
+        )
+        yield from _compare("splits", f"share of {split}", "share", row.share, published, paper_value.source, *why)
         yield from _length(
             material, "splits", row, facts_of([each for each in material.episodes if each.split == split])
         )
@@ -186,9 +204,9 @@ def _splits(material: ReportInput) -> Iterator[PaperComparison]:
 def _categories(material: ReportInput) -> Iterator[PaperComparison]:
     rows, total = material.statistics.categories, len(material.episodes)
     counts = {row.group: share_of(row.n, total) for row in rows}
-    for name, said in paper.CATEGORIES.items():
+    for name, published in paper.CATEGORIES.items():
         ours, why = counts.get(name) or share_of(0, total), (reasons.explain_category_share, material, name)
-        yield from _category_share(f"share of {say_category(name)}", ours, said.share, said.source, *why)
+        yield from _category_share(f"share of {say_category(name)}", ours, published.share, published.source, *why)
     ours, why_largest = share_of(sum(row.n for row in rows[:3]), total), (reasons.explain_largest, material.statistics)
     what = "share of the three most frequent categories"
     yield from _category_share(what, ours, paper.THREE_LARGEST_SHARE, "Sec. VIII", *why_largest)
@@ -206,12 +224,12 @@ def _ends(low: float | None, high: float | None) -> Interval | None:
 
 
 def _fit(material: ReportInput) -> Iterator[PaperComparison]:
-    ours, said = material.statistics.correlation[0], paper.FIT
+    ours, published = material.statistics.correlation[0], paper.FIT
     why_r = (reasons.explain_correlation, facts_of(material.episodes))
     interval = _ends(ours.low, ours.high)
-    yield from _compare("fit", "Pearson r", "r", ours.r, said.r, "Fig. 11", *why_r, interval=interval)
+    yield from _compare("fit", "Pearson r", "r", ours.r, published.r, "Fig. 11", *why_r, interval=interval)
     why_slope = (reasons.explain_slope, material.statistics)
-    yield from _compare("fit", "slope, m/m", "slope", ours.slope, said.slope, "Fig. 11", *why_slope)
+    yield from _compare("fit", "slope, m/m", "slope", ours.slope, published.slope, "Fig. 11", *why_slope)
 
 
 def _templates(material: ReportInput) -> Iterator[PaperComparison]:

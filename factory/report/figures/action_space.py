@@ -32,7 +32,9 @@ def draw(material: ReportInput) -> Figure:
     )
     alt = f"Grid of {GRID_POINTS} speeds by {GRID_POINTS} yaw rates, {used} squares shaded by use"
     panel = draw_panel("action_space", alt, lambda axes: _paint(axes, drives.tokens), height_in=3.9)
-    return Figure("action_space", title, source, caption, (panel,), (_table(drives.tokens),))
+    return Figure(
+        "action_space", title, source=source, caption=caption, panels=(panel,), tables=(_table(drives.tokens),)
+    )
 
 
 def _paint(axes: Axes, tokens: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> None:

@@ -37,7 +37,14 @@ def draw(material: ReportInput) -> Figure:
     height = 1.3 + 0.42 * len(by_scene)
     outcomes = draw_panel("attempts", "Attempts by scene and outcome", lambda axes: _outcomes(axes, by_scene), height)
     rates = draw_panel("success_rates", "Success rates by scene", lambda axes: _rates(axes, by_scene, rows), height)
-    return Figure("attempts", title, source, caption, (outcomes, rates), (_table([*by_scene, everything], rows),))
+    return Figure(
+        "attempts",
+        title,
+        source=source,
+        caption=caption,
+        panels=(outcomes, rates),
+        tables=(_table([*by_scene, everything], rows),),
+    )
 
 
 def _outcomes(axes: Axes, rows: list[AttemptRow]) -> None:
@@ -61,7 +68,7 @@ def _outcomes(axes: Axes, rows: list[AttemptRow]) -> None:
 
 
 def _rates(axes: Axes, rows: list[AttemptRow], groups: tuple[AttemptRow, ...]) -> None:
-    told = False
+    is_labelled = False
     for place, row in enumerate(rows):
         if row.paper is not None and row.paper.rate is not None:
             low, high = row.paper.rate
@@ -72,9 +79,9 @@ def _rates(axes: Axes, rows: list[AttemptRow], groups: tuple[AttemptRow, ...]) -
                 100 * low,
                 color=colour("paper"),
                 alpha=0.25,
-                label=None if told else "paper",
+                label=None if is_labelled else "paper",
             )
-            told = True
+            is_labelled = True
         share = row.success
         if share.share is not None and share.low is not None and share.high is not None:
             axes.plot(

@@ -28,7 +28,7 @@ def draw(material: ReportInput) -> Figure:
     panel = draw_panel(
         "categories", "Bars of the categories by scene", lambda axes: _paint(axes, material), 1.2 + 0.27 * len(rows)
     )
-    return Figure("categories", title, source, caption, (panel,), (_table(material),))
+    return Figure("categories", title, source=source, caption=caption, panels=(panel,), tables=(_table(material),))
 
 
 def _counts(material: ReportInput) -> Counter[tuple[str, str]]:
@@ -43,8 +43,8 @@ def _paint(axes: Axes, material: ReportInput) -> None:
         if widths.any():
             axes.barh(places, widths, 0.66, left, color=fill, edgecolor=colour("card"), label=name(scene))
         left += widths
-    said = [(100 * row.paper.share, place) for place, row in enumerate(rows) if row.paper and row.paper.share]
-    mark_paper(axes, said)
+    published = [(100 * row.paper.share, place) for place, row in enumerate(rows) if row.paper and row.paper.share]
+    mark_paper(axes, published)
     for place, row in enumerate(rows):
         beyond = max(left[place], 100 * (row.paper.share or 0) + 0.5 if row.paper else 0)
         axes.text(beyond + 0.5, place, str(row.n), va="center", fontsize=8, color=colour("muted"))

@@ -24,18 +24,18 @@ def draw(material: ReportInput) -> Figure:
         return Figure("errors", title, source, "No episodes to show.")
     everything = material.statistics.navigation_error[-1]
     within = everything.within_radius
-    said = f" The pink line is the paper's mean, {number(paper.NAVIGATION_ERROR.ne_mean_m, 3)} m."
+    paper_note = f" The pink line is the paper's mean, {number(paper.NAVIGATION_ERROR.ne_mean_m, 3)} m."
     caption = (
         f"Share of {count(everything.n, 'episode')} whose planar distance to the target's "
         f"{material.statistics.success} at the end (NE) is at most x. "
         f"The dashed line is the success radius, {material.statistics.success_radius_m:g} m: {within.count} of "
-        f"{within.of} episodes end within it.{said if material.statistics.beside_paper else ''}"
+        f"{within.of} episodes end within it.{paper_note if material.statistics.beside_paper else ''}"
     )
     panel = draw_panel("ne_cdf", "Cumulative navigation error by scene", lambda axes: _paint(axes, material), 3.3)
     tables = [_table(material.statistics.navigation_error, "NE by scene, metres")]
     if material.statistics.other_error:
         tables.append(_table(material.statistics.other_error, "NE by the other success measure, metres"))
-    return Figure("errors", title, source, caption, (panel,), tuple(tables))
+    return Figure("errors", title, source=source, caption=caption, panels=(panel,), tables=tuple(tables))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:
@@ -56,9 +56,9 @@ def _paint(axes: Axes, material: ReportInput) -> None:
             label=f"{name(scene)} ({len(errors)})",
         )
     axes.axvline(radius, color=colour("ink"), linewidth=1.2, linestyle=(0, (4, 2)), label="success radius")
-    said = paper.NAVIGATION_ERROR.ne_mean_m
-    if said is not None and material.statistics.beside_paper:
-        axes.axvline(said, color=colour("paper"), linewidth=1.2, label="paper, mean")
+    paper_mean = paper.NAVIGATION_ERROR.ne_mean_m
+    if paper_mean is not None and material.statistics.beside_paper:
+        axes.axvline(paper_mean, color=colour("paper"), linewidth=1.2, label="paper, mean")
     axes.set_xlim(low, high)
     axes.set_ylim(0, 1.02)
     axes.set_xlabel("navigation error, m")

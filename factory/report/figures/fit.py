@@ -31,7 +31,7 @@ def draw(material: ReportInput) -> Figure:
         lambda axes: _paint(axes, material, fit),
         3.8,
     )
-    return Figure("fit", title, source, caption, (panel,), (_table(material),))
+    return Figure("fit", title, source=source, caption=caption, panels=(panel,), tables=(_table(material),))
 
 
 def _describe_fit(fit: Fit) -> str:

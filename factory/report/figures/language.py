@@ -48,10 +48,12 @@ def draw(material: ReportInput) -> Figure:
     views, everything = material.drives.views, len(material.episodes)
     if not views:
         return Figure("language", title, source, "No episodes to show.")
-    found = summarise_language(material.meta.run, material.meta.run, material.scenes, everything, views)
+    summary = summarise_language(
+        material.meta.run, material.meta.run, scenes=material.scenes, episodes=everything, views=views
+    )
     caption = (
-        f"Shares of {count(found.read, 'episode')} with 95 % Wilson intervals; "
-        f"{count(found.instructions, 'distinct instruction')}. "
+        f"Shares of {count(summary.read, 'episode')} with 95 % Wilson intervals; "
+        f"{count(summary.instructions, 'distinct instruction')}. "
         "Blue, in the first frame: the target is the object nearest to the camera, or the object with the "
         "smallest bearing, or the object of its category with the smallest bearing, the smallest distance or the "
         "largest mask, so it can be found without language or without spatial reasoning. "
@@ -62,11 +64,15 @@ def draw(material: ReportInput) -> Figure:
     panel = draw_panel(
         "language",
         "Shares of episodes by measure",
-        lambda axes: _paint(axes, found.rows[-1]),
+        lambda axes: _paint(axes, summary.rows[-1]),
         0.9 + 0.4 * len(_MEASURES),
     )
-    tables = (*(_scene_table(found, *table) for table in _TABLES.items()), _wording_table(found), _arrival_table(found))
-    return Figure("language", title, source, caption, (panel,), tables)
+    tables = (
+        *(_scene_table(summary, *table) for table in _TABLES.items()),
+        _wording_table(summary),
+        _arrival_table(summary),
+    )
+    return Figure("language", title, source=source, caption=caption, panels=(panel,), tables=tables)
 
 
 def _paint(axes: Axes, row: LanguageRow) -> None:
@@ -86,30 +92,36 @@ def _paint(axes: Axes, row: LanguageRow) -> None:
     axes.set_xlabel("share of the episodes, %")
 
 
-def _scene_table(found: LanguageStatistics, title: str, columns: Mapping[str, str]) -> Table:
-    rows = tuple((name(row.group), *(interval(getattr(row, key)) for key in columns.values())) for row in found.rows)
+def _scene_table(statistics: LanguageStatistics, title: str, columns: Mapping[str, str]) -> Table:
+    rows = tuple(
+        (name(row.group), *(interval(getattr(row, key)) for key in columns.values())) for row in statistics.rows
+    )
     return Table(("scene", *columns), rows, f"{title}; 95 % intervals")
 
 
-def _wording_table(found: LanguageStatistics) -> Table:
+def _wording_table(statistics: LanguageStatistics) -> Table:
     rows = tuple(
         (
             row.language,
             *(str(count) for count in (row.n, row.distinct, row.vocabulary)),
             *(number(value, digits) for value, digits in ((row.words_mean, 1), (row.self_bleu, 2))),
         )
-        for row in found.wording
+        for row in statistics.wording
     )
-    others, chance, wrong = number(found.others_in_scene, 1), number(found.rows[-1].chance, 2), found.false_premises
+    others, chance, wrong = (
+        number(statistics.others_in_scene, 1),
+        number(statistics.rows[-1].chance, 2),
+        statistics.false_premises,
+    )
     return Table(
         ("language", "N", "distinct", "vocabulary", "words, mean", "self-BLEU"),
         rows,
-        f"Wording; {interval(found.unique)} of the instructions fit one object of the scene, {wrong} fit "
+        f"Wording; {interval(statistics.unique)} of the instructions fit one object of the scene, {wrong} fit "
         f"none; {others} other objects of the category in the scene; "
         f"chance that a random object of the category in view is the target: {chance}",
     )
 
 
-def _arrival_table(found: LanguageStatistics) -> Table:
-    rows = tuple((name(row.group), str(row.in_view.of), interval(row.in_view)) for row in found.arrivals)
+def _arrival_table(statistics: LanguageStatistics) -> Table:
+    rows = tuple((name(row.group), str(row.in_view.of), interval(row.in_view)) for row in statistics.arrivals)
     return Table(("category", "N", "in view in the last frame"), rows, "Target in view on arrival; 95 % intervals")

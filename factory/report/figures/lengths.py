@@ -20,8 +20,8 @@ def draw(material: ReportInput) -> Figure:
     if not material.episodes:
         return Figure("lengths", title, source, "No episodes to show.")
     everything = material.statistics.scenes[-1]
-    said = f"{number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes"
-    beside = f"; the dashed line is the paper's mean, {said}" if material.statistics.beside_paper else ""
+    paper_mean = f"{number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes"
+    beside = f"; the dashed line is the paper's mean, {paper_mean}" if material.statistics.beside_paper else ""
     caption = (
         f"Trajectory lengths (TL) of {count(everything.n, 'episode')}, stacked by scene in bins of {_BIN_M:g} m; the "
         f"outline is the sum. Mean {number(everything.tl_mean_m)} m, median {number(everything.tl_median_m)} m{beside}."
@@ -29,7 +29,7 @@ def draw(material: ReportInput) -> Figure:
     panel = draw_panel(
         "tl_histogram", "Histogram of trajectory lengths by scene", lambda axes: _paint(axes, material), 3.2
     )
-    return Figure("lengths", title, source, caption, (panel,))
+    return Figure("lengths", title, source=source, caption=caption, panels=(panel,))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:
@@ -51,8 +51,10 @@ def _paint(axes: Axes, material: ReportInput) -> None:
     if mean is not None:
         axes.axvline(mean, color=colour("ink"), linewidth=1.3, label=f"mean {mean:.2f} m")
     if material.statistics.beside_paper and paper.OVERALL.tl_mean_m is not None:
-        said = paper.OVERALL.tl_mean_m
-        axes.axvline(said, color=colour("paper"), linewidth=1.3, linestyle=(0, (4, 2)), label=f"paper {said:.2f} m")
+        paper_mean = paper.OVERALL.tl_mean_m
+        axes.axvline(
+            paper_mean, color=colour("paper"), linewidth=1.3, linestyle=(0, (4, 2)), label=f"paper {paper_mean:.2f} m"
+        )
     axes.set_xlim(left=0)
     axes.set_xlabel("trajectory length, m")
     axes.set_ylabel("episodes")

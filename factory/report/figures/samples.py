@@ -36,7 +36,7 @@ def draw(material: ReportInput) -> Figure:
     rows = -(-len(samples) // _COLUMNS)
     height = WIDTH_IN * rows * (_TILE_PX + _TEXT_PX) / (_COLUMNS * (_TILE_PX + _GAP_PX))
     panel = draw_panel("samples", "Sample frames with instructions", lambda axes: _paint(axes, samples), height)
-    return Figure("samples", title, source, caption, (panel,), wide=True)
+    return Figure("samples", title, source=source, caption=caption, panels=(panel,), wide=True)
 
 
 def outlined(sample: FrameSample) -> NDArray[np.uint8]:

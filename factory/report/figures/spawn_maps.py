@@ -33,9 +33,9 @@ def draw(material: ReportInput) -> Figure:
     return Figure(
         "spawn_maps",
         "Start positions",
-        "Fig. 4",
-        caption,
-        tuple(_panel(material, s) for s in material.places),
+        source="Fig. 4",
+        caption=caption,
+        panels=tuple(_panel(material, s) for s in material.places),
         wide=True,
     )
 

@@ -28,7 +28,14 @@ def draw(material: ReportInput) -> Figure:
         lambda axes: _paint(axes, material),
         1.4 + 0.45 * len(material.scenes),
     )
-    return Figure("splits", title, source, caption, (panel,), (_rollouts(material), _overlap(material)))
+    return Figure(
+        "splits",
+        title,
+        source=source,
+        caption=caption,
+        panels=(panel,),
+        tables=(_rollouts(material), _overlap(material)),
+    )
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:

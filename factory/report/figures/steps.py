@@ -29,7 +29,7 @@ def draw(material: ReportInput) -> Figure:
         lambda axes: _paint(axes, material),
         1.3 + 0.5 * len(material.scenes),
     )
-    return Figure("steps", title, source, caption, (panel,), (_geometry(material),))
+    return Figure("steps", title, source=source, caption=caption, panels=(panel,), tables=(_geometry(material),))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:
@@ -61,9 +61,9 @@ def _paint(axes: Axes, material: ReportInput) -> None:
             )
     published = {row.group: row.paper.steps_median for row in material.statistics.scenes if row.paper}
     medians = [published.get(scene) for scene in material.scenes]
-    said = [(median, place) for place, median in enumerate(medians, 1) if median is not None]
-    if said:
-        mark_paper(axes, said, "paper, median")
+    known = [(median, place) for place, median in enumerate(medians, 1) if median is not None]
+    if known:
+        mark_paper(axes, known, "paper, median")
         write_legend(axes)
     axes.set_yticks(range(1, len(groups) + 1), [scene_label(scene) for scene in material.scenes])
     axes.set_ylim(len(groups) + 0.6, 0.4)

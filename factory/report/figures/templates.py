@@ -29,7 +29,7 @@ def draw(material: ReportInput) -> Figure:
         ("templates_paraphrase", "paraphrases", "O", list(OOD_TEMPLATES)),
     )
     panels = tuple(_panel(rows, *pool) for pool in pools)
-    return Figure("templates", title, source, caption, panels, (_table(rows),))
+    return Figure("templates", title, source=source, caption=caption, panels=panels, tables=(_table(rows),))
 
 
 def _panel(rows: dict[str, CountRow], name: str, words: str, letter: str, pool: list[str]) -> Panel:

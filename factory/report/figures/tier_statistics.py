@@ -21,22 +21,27 @@ def draw(material: ReportInput) -> Figure:
         return Figure("tier_statistics", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.tiers}
     counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
-    said = f"; diamonds are the paper's means over {', '.join(f'{paper.TIERS[tier].n} {tier}' for tier in Tier)}"
+    paper_note = f"; diamonds are the paper's means over {', '.join(f'{paper.TIERS[tier].n} {tier}' for tier in Tier)}"
     beside = material.statistics.beside_paper
     caption = (
         f"Means by tier over {count(len(material.episodes), 'episode')} ({counts})"
-        f"{said if beside else ''}.{_ratios(rows, beside)}"
+        f"{paper_note if beside else ''}.{_ratios(rows, beside)}"
     )
     lengths = draw_panel(
         "tier_lengths",
         "Mean trajectory length by tier",
-        lambda axes: _bars(axes, rows, "tl_mean_m", "mean trajectory length, m", 2),
+        lambda axes: _bars(axes, rows, field="tl_mean_m", label="mean trajectory length, m", digits=2),
         2.3,
     )
     steps = draw_panel(
-        "tier_steps", "Mean steps by tier", lambda axes: _bars(axes, rows, "steps_mean", "mean steps", 0), 2.3
+        "tier_steps",
+        "Mean steps by tier",
+        lambda axes: _bars(axes, rows, field="steps_mean", label="mean steps", digits=0),
+        2.3,
     )
-    return Figure("tier_statistics", title, source, caption, (lengths, steps), (_table(material),))
+    return Figure(
+        "tier_statistics", title, source=source, caption=caption, panels=(lengths, steps), tables=(_table(material),)
+    )
 
 
 def _ratios(rows: dict[str, RolloutRow], beside: bool) -> str:
@@ -49,27 +54,27 @@ def _ratios(rows: dict[str, RolloutRow], beside: bool) -> str:
                 f"trajectories of tier {tier} are {length / near.tl_mean_m:.1f} times as long as those of tier near "
                 f"and have {steps / near.steps_mean:.1f} times the steps"
             )
-    said = " (paper, far: 2.9 and 3.2)" if beside else ""
-    return f" In this dataset, {'; '.join(parts)}{said}." if parts else ""
+    paper_note = " (paper, far: 2.9 and 3.2)" if beside else ""
+    return f" In this dataset, {'; '.join(parts)}{paper_note}." if parts else ""
 
 
 def _bars(axes: Axes, rows: dict[str, RolloutRow], field: str, label: str, digits: int) -> None:
     places = np.arange(len(Tier))
     values = [getattr(rows[tier], field) for tier in Tier]
-    said = [getattr(row, field) for tier in Tier if (row := rows[tier].paper)] or [0.0] * len(Tier)
+    published = [getattr(row, field) for tier in Tier if (row := rows[tier].paper)] or [0.0] * len(Tier)
     axes.barh(places, [value or 0 for value in values], 0.6, color=[colour(TIER_COLOURS[tier]) for tier in Tier])
-    if any(said):
-        mark_paper(axes, np.column_stack([said, places]))
-    top = max([value or 0 for value in values] + said) or 1.0
+    if any(published):
+        mark_paper(axes, np.column_stack([published, places]))
+    top = max([value or 0 for value in values] + published) or 1.0
     for place, value in enumerate(values):
-        beyond = max(value or 0, said[place] or 0) + 0.03 * top
+        beyond = max(value or 0, published[place] or 0) + 0.03 * top
         axes.text(beyond, place, number(value, digits), va="center", fontsize=8.5)
     axes.set_yticks(places, [f"{tier} ({rows[tier].n})" for tier in Tier])
     axes.set_xlim(0, 1.16 * top)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.set_xlabel(label)
-    if any(said):
+    if any(published):
         write_legend(axes)
 
 

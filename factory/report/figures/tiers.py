@@ -36,7 +36,7 @@ def draw(material: ReportInput) -> Figure:
         "spawn_distances", "Histogram of start distances by tier", lambda axes: _distances(axes, material), 2.8
     )
     tables = (_far_table(material),) if rows[Tier.FAR].n else ()
-    return Figure("tiers", title, source, caption, (shares, distances), tables)
+    return Figure("tiers", title, source=source, caption=caption, panels=(shares, distances), tables=tables)
 
 
 def _shares(axes: Axes, material: ReportInput) -> None:
@@ -48,13 +48,13 @@ def _shares(axes: Axes, material: ReportInput) -> None:
     plan = {"marker": "|", "s": 260, "color": colour("ink"), "linewidth": 1.6}
     mark(axes, np.column_stack([planned, places]), label="plan", zorder=3, **plan)
     published = [row.share or 0 for tier in Tier if (row := rows[tier].paper)]
-    said = [100 * share for share in published] or [0.0] * len(Tier)
+    shares = [100 * share for share in published] or [0.0] * len(Tier)
     if published:
-        mark_paper(axes, np.column_stack([said, places]))
-    for place, ends in enumerate(zip(ours, planned, said, strict=True)):
+        mark_paper(axes, np.column_stack([shares, places]))
+    for place, ends in enumerate(zip(ours, planned, shares, strict=True)):
         axes.text(max(ends) + 2, place, f"{ours[place]:.1f} %", va="center", fontsize=8.5)
     axes.set_yticks(places, list(Tier))
-    axes.set_xlim(0, max(*ours, *planned, *said) + 14)
+    axes.set_xlim(0, max(*ours, *planned, *shares) + 14)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("share of the episodes, %")

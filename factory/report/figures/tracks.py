@@ -32,7 +32,12 @@ def draw(material: ReportInput) -> Figure:
         "straight; curves show a planner or a start that faces away from the target."
     )
     return Figure(
-        "tracks", title, source, caption, tuple(_panel(material, scene) for scene in material.places), wide=True
+        "tracks",
+        title,
+        source=source,
+        caption=caption,
+        panels=tuple(_panel(material, scene) for scene in material.places),
+        wide=True,
     )
 
 

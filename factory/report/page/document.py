@@ -87,24 +87,24 @@ def write_page(material: ReportInput, figures: Sequence[Figure], comparisons: Se
 
 
 def _badges(material: ReportInput) -> Iterator[str]:
-    found = material.statistics
-    yield count(found.episodes, "episode")
+    statistics = material.statistics
+    yield count(statistics.episodes, "episode")
     yield count(len(material.scenes), "scene")
-    yield f"{name(found.expert)} expert"
+    yield f"{name(statistics.expert)} expert"
     yield f"seed {material.meta.seed}"
-    yield "complete" if found.complete else f"{found.episodes} of {found.planned} planned episodes"
+    yield "complete" if statistics.complete else f"{statistics.episodes} of {statistics.planned} planned episodes"
 
 
 def _tiles(material: ReportInput) -> Sequence[tuple[str, str, str]]:
     """Returns measure, value of the dataset and, if compared, value of the paper."""
     everything, fit = material.statistics.scenes[-1], material.statistics.correlation[0]
-    said, beside = paper.OVERALL, material.statistics.beside_paper
+    published, beside = paper.OVERALL, material.statistics.beside_paper
     tiles = (
-        ("episodes", str(everything.n), str(said.n)),
+        ("episodes", str(everything.n), str(published.n)),
         ("successful attempts", _success(material), "40–90 %"),
-        ("navigation error", _with_unit(everything.ne_mean_m, 3, "m"), _with_unit(said.ne_mean_m, 3, "m")),
-        ("trajectory length", _with_unit(everything.tl_mean_m, 2, "m"), _with_unit(said.tl_mean_m, 2, "m")),
-        ("steps", number(everything.steps_mean, 1), number(said.steps_mean, 1)),
+        ("navigation error", _with_unit(everything.ne_mean_m, 3, "m"), _with_unit(published.ne_mean_m, 3, "m")),
+        ("trajectory length", _with_unit(everything.tl_mean_m, 2, "m"), _with_unit(published.tl_mean_m, 2, "m")),
+        ("steps", number(everything.steps_mean, 1), number(published.steps_mean, 1)),
         ("r of distance and length", number(fit.r, 3), number(paper.FIT.r, 2)),
     )
     return [(what, ours, f"paper {theirs}" if beside else "") for what, ours, theirs in tiles]

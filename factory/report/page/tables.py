@@ -61,13 +61,13 @@ def format_comparison(row: PaperComparison) -> ComparisonCells:
     return ComparisonCells(
         row.what,
         _format_value(row, row.ours),
-        _format_ends(row, row.interval),
-        published,
-        "" if row.published_high is not None else _format_ends(row, row.target),
-        row.source,
-        _difference(row),
-        row.verdict or "",
-        row.reason,
+        interval=_format_ends(row, row.interval),
+        published=published,
+        target="" if row.published_high is not None else _format_ends(row, row.target),
+        source=row.source,
+        difference=_difference(row),
+        verdict=row.verdict or "",
+        reason=row.reason,
     )
 
 

@@ -204,13 +204,15 @@ def _scaled(draw: Callable[[Generator], _Shape]) -> Scheme:
         low, high = 0.0, 4 * math.sqrt(total)
         for _ in range(_STEPS):
             side = (low + high) / 2
-            found = shape(side * ratio, side / ratio)
-            low, high = (side, high) if _floor_of(found.blocks) < total else (low, side)
-        dealt = _deal(rng, specs, found.blocks)
+            scheme = shape(side * ratio, side / ratio)
+            low, high = (side, high) if _floor_of(scheme.blocks) < total else (low, side)
+        dealt = _deal(rng, specs, scheme.blocks)
         if dealt is None:
             return None
-        blocks = (Block(_moved(area, floor), own, 1.0) for area, own in zip(found.blocks, dealt, strict=True))
-        return Arrangement(tuple(blocks), tuple(_moved(area, floor) for area in found.halls))
+        blocks = (
+            Block(_moved(area, floor), block_specs, 1.0) for area, block_specs in zip(scheme.blocks, dealt, strict=True)
+        )
+        return Arrangement(tuple(blocks), tuple(_moved(area, floor) for area in scheme.halls))
 
     return arrange
 
@@ -284,6 +286,6 @@ def _deal(rng: Generator, specs: Specs, areas: Sequence[Rectangle]) -> list[Spec
             return None
         dealt[best].append(spec)
         spare[best] -= _width(spec, depths[best])
-    rows = [tuple(own[k] for k in rng.permutation(len(own))) for own in dealt]
+    rows = [tuple(row_specs[k] for k in rng.permutation(len(row_specs))) for row_specs in dealt]
     fit = all(row_widths(area, row) is not None for area, row in zip(areas, rows, strict=True))
     return rows if fit else None

@@ -75,14 +75,14 @@ def _to_world(placement: PropPlacement) -> Floats:
 
 def _pieces(pieces: Sequence[PropPiece]) -> list[Piece]:
     """Returns one triangulated piece for each material."""
-    found = []
+    chosen = []
     for group in by_material(pieces).values():
         material = group[0].material
         mesh = merge([piece.mesh for piece in group], material.tile_m)
         corners = triangulate(mesh.points, mesh.counts, mesh.indices).corners
         uvs = None if material.texture is None or mesh.st is None else mesh.st[corners]
-        found.append(Piece(mesh.points[mesh.indices[corners]], uvs, None, _surface(material)))
-    return found
+        chosen.append(Piece(mesh.points[mesh.indices[corners]], uvs, None, _surface(material)))
+    return chosen
 
 
 def _surface(material: SurfaceMaterial) -> Surface:

@@ -114,15 +114,15 @@ def _built_rooms(division: Division) -> list[BuiltRoom]:
     for room in rooms:
         room.outside = {side: room.outside[side] for side in _SIDES if side in room.outside}
     for opening in division.openings:
-        for own, other in (opening.rooms, opening.rooms[::-1]):
-            area = division.areas[own]
+        for inner, other in (opening.rooms, opening.rooms[::-1]):
+            area = division.areas[inner]
             ahead = abs(opening.at - (area.y1 if opening.is_along_x else area.x1)) < 1e-6
             side = ("SN" if opening.is_along_x else "WE")[ahead]
             centre, half = opening.doorway.centre, opening.doorway.width / 2
-            rooms[own].doors.setdefault(side, []).append(centre)
+            rooms[inner].doors.setdefault(side, []).append(centre)
             if opening.is_joint:
-                rooms[own].joints.setdefault(side, []).append((centre - half, centre + half))
-            rooms[own].neighbours.append(other)
+                rooms[inner].joints.setdefault(side, []).append((centre - half, centre + half))
+            rooms[inner].neighbours.append(other)
     return rooms
 
 
@@ -171,7 +171,16 @@ def _build_wall(plan: FloorPlan, run: _Run, division: Division, building: Buildi
     faces = tuple((look or shown).paint for look in looks)
     trims = tuple(None if look is None else look.trim or building.trim for look in looks)
     doors = [opening.doorway for opening in openings]
-    wall(plan, run.is_along_x, run.at, run.span, (faces[0], faces[1]), doors, building.height, (trims[0], trims[1]))
+    wall(
+        plan,
+        run.is_along_x,
+        at=run.at,
+        span=run.span,
+        faces=(faces[0], faces[1]),
+        doors=doors,
+        height=building.height,
+        trims=(trims[0], trims[1]),
+    )
 
 
 def _is_in(opening: Opening, run: _Run) -> bool:

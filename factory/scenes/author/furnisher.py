@@ -27,34 +27,46 @@ _ENTRY_M = 1.0
 """Depth of the floor before an entrance that stays clear, metres."""
 
 
-def workplace(own: Furnisher, desk: PropPlacement | None, chair: int, is_second: bool = False) -> None:
+def workplace(furnisher: Furnisher, desk: PropPlacement | None, chair: int, is_second: bool = False) -> None:
     """Adds a screen, a keyboard, a chair and in some cases a smaller thing to a desk.
 
     Args:
-        own: room of the desk.
+        furnisher: room of the desk.
         desk: desk; with `None`, nothing is added.
         chair: variant of the chair.
         is_second: whether the desk may have a second screen.
     """
     if desk is None:
         return
-    rng, aside = own.rng, float(own.rng.uniform(-0.16, 0.06))
-    screen = own.plan.pick(3)
+    rng, aside = furnisher.rng, float(furnisher.rng.uniform(-0.16, 0.06))
+    screen = furnisher.plan.pick(3)
     if is_second and rng.random() < 0.3:
         for shift in (-0.3, 0.3):
-            own.on_top("SM_Monitor_A", screen, desk, DESK_TOP_M, shift, 0.1, -0.7 * shift)
+            furnisher.on_top(
+                "SM_Monitor_A", screen, below=desk, height=DESK_TOP_M, along=shift, back=0.1, turn=-0.7 * shift
+            )
     else:
-        own.on_top("SM_Monitor_A", screen, desk, DESK_TOP_M, aside, 0.08, float(rng.uniform(-0.2, 0.2)))
-        if own.is_wanted() and rng.random() < 0.6:
-            thing = _ON_DESKS[own.plan.pick(len(_ON_DESKS))]
-            own.on_top(thing, None, desk, DESK_TOP_M, 0.48, 0.02, float(rng.uniform(-0.3, 0.3)))
-    own.on_top("SM_TypingPad", 0, desk, DESK_TOP_M, aside / 2, -0.2)
+        furnisher.on_top(
+            "SM_Monitor_A",
+            screen,
+            below=desk,
+            height=DESK_TOP_M,
+            along=aside,
+            back=0.08,
+            turn=float(rng.uniform(-0.2, 0.2)),
+        )
+        if furnisher.is_wanted() and rng.random() < 0.6:
+            thing = _ON_DESKS[furnisher.plan.pick(len(_ON_DESKS))]
+            furnisher.on_top(
+                thing, None, below=desk, height=DESK_TOP_M, along=0.48, back=0.02, turn=float(rng.uniform(-0.3, 0.3))
+            )
+    furnisher.on_top("SM_TypingPad", 0, below=desk, height=DESK_TOP_M, along=aside / 2, back=-0.2)
     if rng.random() < 0.93:
-        name, turn = _WORK_CHAIRS[own.plan.pick(3)], float(rng.uniform(-0.5, 0.5))
-        own.before(name, chair, desk, float(rng.uniform(0.42, 0.64)), aside / 2, turn)
+        name, turn = _WORK_CHAIRS[furnisher.plan.pick(3)], float(rng.uniform(-0.5, 0.5))
+        furnisher.before(name, chair, of=desk, reach=float(rng.uniform(0.42, 0.64)), along=aside / 2, turn=turn)
 
 
-def chairs_around(own: Furnisher, table: PropPlacement, kind: str, look: int, share: float = 0.9) -> None:
+def chairs_around(furnisher: Furnisher, table: PropPlacement, kind: str, look: int, share: float = 0.9) -> None:
     """Adds chairs along both long sides of a table and at its ends, each with the probability `share`."""
     half_x, half_y = float(table.model.high[0]), float(table.model.high[1])
     count = max(1, int(2 * half_x / _SEAT_M - 0.1))
@@ -66,32 +78,34 @@ def chairs_around(own: Furnisher, table: PropPlacement, kind: str, look: int, sh
     places += [(end * (half_x + 0.18), 0.0, -end * math.pi / 2) for end in (-1, 1)]
     c, s = math.cos(table.yaw), math.sin(table.yaw)
     for a, b, turn in places:
-        if own.rng.random() < share:
+        if furnisher.rng.random() < share:
             x, y = table.x + c * a - s * b, table.y + s * a + c * b
-            yaw = table.yaw + turn + float(own.rng.uniform(-0.15, 0.15))
-            own.plan.seat(own.model(kind, look), x, y, yaw, own.area, table)
+            yaw = table.yaw + turn + float(furnisher.rng.uniform(-0.15, 0.15))
+            furnisher.plan.seat(furnisher.model(kind, look), x, y=y, yaw=yaw, room=furnisher.area, of=table)
 
 
 def round_table(
-    own: Furnisher, centre: tuple[float, float], kind: str, look: int, most: int = 4
+    furnisher: Furnisher, centre: tuple[float, float], kind: str, look: int, most: int = 4
 ) -> PropPlacement | None:
     """Places a round table with two to `most` chairs; returns the table, or `None` if it does not fit."""
-    table = own.plan.place(own.model("SM_TableRound_C", look), *centre, 0.0, own.area, 0.75)
+    table = furnisher.plan.place(furnisher.model("SM_TableRound_C", look), *centre, 0.0, furnisher.area, 0.75)
     if table is None:
         return None
-    count, first = 2 + own.plan.pick(most - 1), float(own.rng.uniform(0.0, 2 * math.pi))
+    count, first = 2 + furnisher.plan.pick(most - 1), float(furnisher.rng.uniform(0.0, 2 * math.pi))
     reach = float(table.model.high[0]) + 0.2
     for number in range(count):
         turn = first + 2 * math.pi * number / count
         x, y = centre[0] + reach * math.cos(turn), centre[1] + reach * math.sin(turn)
-        own.plan.seat(own.model(kind, look), x, y, turn - math.pi / 2, own.area, table)
+        furnisher.plan.seat(furnisher.model(kind, look), x, y=y, yaw=turn - math.pi / 2, room=furnisher.area, of=table)
     return table
 
 
-def seat_group(own: Furnisher, sides: str | None = None, rug: int | None = 0) -> PropPlacement | None:
+def seat_group(furnisher: Furnisher, sides: str | None = None, rug: int | None = 0) -> PropPlacement | None:
     """Places a sofa at a wall with a low table, one or two arm chairs and a rug before it; returns the sofa."""
-    cover, rng = own.palette.cover, own.rng
-    sofa = own.wall_piece("SM_Sofa_A", cover, sides, 0.4, 0.05) or own.wall_piece("SM_Sofa_A", cover, sides, 0.1, 0.05)
+    cover, rng = furnisher.palette.cover, furnisher.rng
+    sofa = furnisher.wall_piece("SM_Sofa_A", cover, sides=sides, clearance=0.4, gap=0.05) or furnisher.wall_piece(
+        "SM_Sofa_A", cover, sides=sides, clearance=0.1, gap=0.05
+    )
     if sofa is None:
         return None
     along, into = (math.cos(sofa.yaw), math.sin(sofa.yaw)), (math.sin(sofa.yaw), -math.cos(sofa.yaw))
@@ -99,45 +113,47 @@ def seat_group(own: Furnisher, sides: str | None = None, rug: int | None = 0) ->
     x, y = sofa.x + into[0] * reach, sofa.y + into[1] * reach
     if rug is not None:
         is_across = abs(along[0]) > 0.5
-        own.carpet((x, y), *((2.4, 1.7) if is_across else (1.7, 2.4)), rug)
-    own.plan.place(own.model("SM_TableCoffee_D"), x, y, sofa.yaw, own.area, 0.1)
-    for turn in (1.0, -1.0)[: 1 + own.plan.pick(2)]:
+        furnisher.carpet((x, y), *((2.4, 1.7) if is_across else (1.7, 2.4)), rug)
+    furnisher.plan.place(furnisher.model("SM_TableCoffee_D"), x, y, sofa.yaw, furnisher.area, 0.1)
+    for turn in (1.0, -1.0)[: 1 + furnisher.plan.pick(2)]:
         shift = turn * float(rng.uniform(1.2, 1.45))
         seat = (x + along[0] * shift, y + along[1] * shift)
-        chair = own.model("SM_ChairLounge_G", cover + 1)
-        own.plan.place(chair, *seat, sofa.yaw + turn * math.pi / 2 + math.pi, own.area, 0.15)
+        chair = furnisher.model("SM_ChairLounge_G", cover + 1)
+        furnisher.plan.place(chair, *seat, sofa.yaw + turn * math.pi / 2 + math.pi, furnisher.area, 0.15)
     return sofa
 
 
-def kitchen_row(own: Furnisher, sides: str, look: int, names: Sequence[str], tops: Sequence[str]) -> str | None:
+def kitchen_row(furnisher: Furnisher, sides: str, look: int, names: Sequence[str], tops: Sequence[str]) -> str | None:
     """Places kitchen units side by side at a wall, with small appliances, wall tiles and wall units; returns the side.
 
     Args:
-        own: room.
+        furnisher: room.
         sides: sides to try, in order.
         look: variant of the units.
         names: units, placed in random order. If no wall has room for all, `SM_KitchenUnit` is omitted.
         tops: appliances for the first units.
     """
-    order = [names[k] for k in own.rng.permutation(len(names))]
+    order = [names[k] for k in furnisher.rng.permutation(len(names))]
     short = [name for name in order if name != "SM_KitchenUnit"]
-    found = own.row(order, look, sides) or own.row(short, look, sides)
-    if found is None:
+    row_end = furnisher.row(order, look, sides) or furnisher.row(short, look, sides)
+    if row_end is None:
         return None
-    side, units, start = found
+    side, units, start = row_end
     left = list(tops)
     for unit in units:
         if unit.model.name.startswith(("SM_KitchenUnit", "SM_Dishwasher")):
             if left:
-                own.on_top(left.pop(0), None, unit, 0.90)
+                furnisher.on_top(left.pop(0), None, unit, 0.90)
             else:
-                own.dress(unit, _ON_WORKTOPS, 1, 0.90)
+                furnisher.dress(unit, _ON_WORKTOPS, 1, 0.90)
     length = sum(float(unit.model.high[0] - unit.model.low[0]) for unit in units)
     for index in range(int(length // 0.6)):
         middle = start + (index + 0.5) * length / (length // 0.6)
-        own.plan.add(own.model("SM_SplashTiles", look), *own.at_wall(side, middle, 0.0), FACING[side])
-        if side not in own.room.outside:
-            own.plan.add(own.model("SM_KitchenWallUnit", look), *own.at_wall(side, middle, 0.31), FACING[side])
+        furnisher.plan.add(furnisher.model("SM_SplashTiles", look), *furnisher.at_wall(side, middle, 0.0), FACING[side])
+        if side not in furnisher.room.outside:
+            furnisher.plan.add(
+                furnisher.model("SM_KitchenWallUnit", look), *furnisher.at_wall(side, middle, 0.31), FACING[side]
+            )
     return side
 
 
@@ -151,23 +167,23 @@ def enter(rooms: Sequence[Furnisher], kinds: Sequence[str], variant: int) -> boo
         kinds: kinds of rooms to try, in order.
         variant: variant of the door.
     """
-    return any(_entry(own, variant) for kind in kinds for own in rooms if own.room.kind == kind)
+    return any(_entry(furnisher, variant) for kind in kinds for furnisher in rooms if furnisher.room.kind == kind)
 
 
-def _entry(own: Furnisher, variant: int) -> bool:
-    model = own.model("SM_EntryDoor", variant)
-    half, plan = float(model.high[0]) + 0.1, own.plan
-    walls = [(side, low, high) for side in own.sides() for low, high in own.room.outside.get(side, ())]
+def _entry(furnisher: Furnisher, variant: int) -> bool:
+    model = furnisher.model("SM_EntryDoor", variant)
+    half, plan = float(model.high[0]) + 0.1, furnisher.plan
+    walls = [(side, low, high) for side in furnisher.sides() for low, high in furnisher.room.outside.get(side, ())]
     for side, low, high in walls:
-        for share in own.rng.uniform(0.1, 0.9, 6).tolist() if high - low > 2 * half else ():
+        for share in furnisher.rng.uniform(0.1, 0.9, 6).tolist() if high - low > 2 * half else ():
             along = low + half + share * (high - low - 2 * half)
-            x = {"W": own.area.x0, "E": own.area.x1}.get(side, along)
-            y = {"S": own.area.y0, "N": own.area.y1}.get(side, along)
+            x = {"W": furnisher.area.x0, "E": furnisher.area.x1}.get(side, along)
+            y = {"S": furnisher.area.y0, "N": furnisher.area.y1}.get(side, along)
             reach = (half, _ENTRY_M) if side in "NS" else (_ENTRY_M, half)
             free = Rectangle(x - reach[0], y - reach[1], x + reach[0], y + reach[1])
             if not any(free.overlaps(other) for other in plan.taken) and plan.hang_at(model, x, y, FACING[side]):
                 plan.keep_clear(free)
-                plan.add(own.model("SM_Sign", 0), x, y, FACING[side], _SIGN_M)
+                plan.add(furnisher.model("SM_Sign", 0), x, y, FACING[side], _SIGN_M)
                 return True
     return False
 
@@ -223,12 +239,12 @@ class Furnisher:
         model = self.model(name, variant)
         for side in sides or self.sides():
             for share in (float(self.rng.uniform(0.3, 0.7)), *self.rng.uniform(0.0, 1.0, 5).tolist(), 0.0, 1.0):
-                x, y, yaw = wall_pose(model, self.area, side, share, gap)
-                found = (
+                x, y, yaw = wall_pose(model, self.area, side=side, along=share, gap=gap)
+                placed = (
                     None if self.plan.meets(model, x, y, yaw) else self.plan.place(model, x, y, yaw, None, clearance)
                 )
-                if found is not None:
-                    return found
+                if placed is not None:
+                    return placed
         return None
 
     def is_wanted(self) -> bool:
@@ -246,7 +262,7 @@ class Furnisher:
         turn: float = 0.0,
     ) -> None:
         """Places a small object on furniture, `along` and `back` metres from its centre, turned by `turn` radians."""
-        self._lay(self.model(name, variant), below, height, along, back, turn)
+        self._lay(self.model(name, variant), below, height=height, along=along, back=back, turn=turn)
 
     def _lay(
         self,
@@ -305,7 +321,7 @@ class Furnisher:
         piece, turned by `turn` radians."""
         c, s = math.cos(of.yaw), math.sin(of.yaw)
         x, y = of.x + c * along + s * reach, of.y + s * along - c * reach
-        return self.plan.seat(self.model(name, variant), x, y, of.yaw + math.pi + turn, self.area, of)
+        return self.plan.seat(self.model(name, variant), x, y=y, yaw=of.yaw + math.pi + turn, room=self.area, of=of)
 
     def corner(self, name: str, variant: int | None = None, clearance: float = 0.35) -> PropPlacement | None:
         """Places a piece in a free corner."""
@@ -327,7 +343,7 @@ class Furnisher:
         for name in self.to_hang:
             model = self.model(name)
             for side in self.sides() * 3:
-                x, y, yaw = wall_pose(model, self.area, side, float(self.rng.uniform(0.1, 0.9)), 0.0)
+                x, y, yaw = wall_pose(model, self.area, side=side, along=float(self.rng.uniform(0.1, 0.9)), gap=0.0)
                 at = x if side in "NS" else y
                 is_clear = all(abs(at - door) > _DOOR_M for door in self.room.doors.get(side, ()))
                 is_clear &= self.room.has_wall(side, at, _JOINT_M)
@@ -347,7 +363,9 @@ class Furnisher:
             spare = self.length(side) - sum(widths)
             for start in (0.02, spare / 2, spare - 0.02):
                 is_inside = 0.0 < start < spare
-                if is_inside and self.plan.is_free_strip(self.area, side, start, sum(widths), _WALL_ROW_DEPTH_M):
+                if is_inside and self.plan.is_free_strip(
+                    self.area, side, start=start, length=sum(widths), depth=_WALL_ROW_DEPTH_M
+                ):
                     ends = accumulate(widths, initial=start)
                     return (
                         side,
@@ -369,19 +387,23 @@ class Furnisher:
         return self.plan.stand(model, x, y, FACING[side])
 
 
-def complete(plan: FloorPlan, own: Sequence[Furnisher], wanted: Mapping[str, int], kinds: Collection[str] = ()) -> None:
+def complete(
+    plan: FloorPlan, furnishers: Sequence[Furnisher], wanted: Mapping[str, int], kinds: Collection[str] = ()
+) -> None:
     """Adds pieces at walls of rooms in random order until the building has the wanted numbers of them.
 
     Args:
         plan: floor plan of the building.
-        own: its rooms.
+        furnishers: its rooms.
         wanted: minimum number of each piece; random variants are added.
         kinds: kinds of rooms to use; empty uses all.
     """
-    rooms = [each for each in own if not kinds or each.room.kind in kinds]
+    rooms = [each for each in furnishers if not kinds or each.room.kind in kinds]
     for name, least in wanted.items():
         standing = sum(placement.model.name.startswith(name) for placement in plan.placements)
         for clearance in (0.35, 0.1, 0.02):
             for number in plan.rng.permutation(len(rooms)):
                 if standing < least:
-                    standing += rooms[number].wall_piece(name, None, None, clearance, 0.03) is not None
+                    standing += (
+                        rooms[number].wall_piece(name, None, sides=None, clearance=clearance, gap=0.03) is not None
+                    )

@@ -92,22 +92,22 @@ def painted(paint: str, roughness: float = 0.6, metallic: float = 0.0) -> Surfac
 
 def textured(texture: str, colour: str, tile_m: float, roughness: float = 0.7) -> SurfaceMaterial:
     """Returns a material that repeats a texture every `tile_m` metres."""
-    return SurfaceMaterial(texture, colour, texture, tile_m, roughness)
+    return SurfaceMaterial(texture, colour, texture=texture, tile_m=tile_m, roughness=roughness)
 
 
 def tinted(texture: str, name: str, colour: str, tile_m: float = 1.0, roughness: float = 0.7) -> SurfaceMaterial:
     """Returns a material that multiplies a light texture with a colour, so paints share one texture."""
-    return SurfaceMaterial(name, colour, texture, tile_m, roughness, tint=colour)
+    return SurfaceMaterial(name, colour, texture=texture, tile_m=tile_m, roughness=roughness, tint=colour)
 
 
 def wood(name: str) -> SurfaceMaterial:
     """Returns furniture wood: Oak, Walnut, Pale, Cherry, Ebony or Ash, all tints of one texture."""
-    return tinted("Grain", f"Wood{name}Tint", _WOODS[name], 0.9, 0.5)
+    return tinted("Grain", f"Wood{name}Tint", colour=_WOODS[name], tile_m=0.9, roughness=0.5)
 
 
 def cloth(paint: str) -> SurfaceMaterial:
     """Returns upholstery in the colour of a named paint; all tints of one texture."""
-    return tinted("Cloth", f"Cloth{paint}", PAINTS[paint], 0.4, 0.95)
+    return tinted("Cloth", f"Cloth{paint}", colour=PAINTS[paint], tile_m=0.4, roughness=0.95)
 
 
 def glowing(name: str, colour: str, texture: str | None = None, glow: float = 1.0) -> SurfaceMaterial:

@@ -97,9 +97,9 @@ def divide_floor(
             specs[k]._replace(area_m2=specs[k].area_m2 * float(rng.uniform(*_GIVE)))
             for k in rng.permutation(len(specs))
         )
-        found = _divide(rng, scheme(rng, floor, order), doors)
-        if found is not None:
-            return found
+        division = _divide(rng, scheme(rng, floor, order), doors)
+        if division is not None:
+            return division
     size = f"{outline.width:.1f} x {outline.depth:.1f} m"
     raise WorldError(f"no division of {size} into {len(specs)} rooms was found")
 
@@ -187,8 +187,8 @@ def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle],
     order = [pairs[k] for k in rng.permutation(len(pairs))]
     order.sort(key=lambda pair: not (specs[pair[0]].is_hub and specs[pair[1]].is_hub))
     group = list(range(len(specs)))
-    found = list(_joints(specs, areas))
-    for joint in found:
+    openings = list(_joints(specs, areas))
+    for joint in openings:
         i, j = joint.rooms
         group = [group[i] if g == group[j] else g for g in group]
     for i, j in order:
@@ -197,11 +197,11 @@ def _open(rng: Generator, specs: Sequence[RoomSpec], areas: Sequence[Rectangle],
         is_loop = group[i] == group[j]
         if is_loop and not (specs[i].is_hub and specs[j].is_hub and rng.random() < doors.loops):
             continue
-        opening = _opening(rng, (i, j), specs, areas, doors)
+        opening = _opening(rng, (i, j), specs=specs, areas=areas, doors=doors)
         if opening is not None:
-            found.append(opening)
+            openings.append(opening)
             group = [group[i] if g == group[j] else g for g in group]
-    return found if len(set(group)) == 1 else None
+    return openings if len(set(group)) == 1 else None
 
 
 def _joints(specs: Sequence[RoomSpec], areas: Sequence[Rectangle]) -> Iterator[Opening]:

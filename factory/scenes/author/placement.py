@@ -134,7 +134,7 @@ class FloorPlan:
 
     def add(self, model: PropModel, x: float, y: float, yaw: float, z: float = 0.0) -> PropPlacement:
         """Places a model without a collision test: on desks, on walls, under ceilings."""
-        placement = PropPlacement(f"{model.name}_{len(self.placements)}", model, x, y, z, yaw)
+        placement = PropPlacement(f"{model.name}_{len(self.placements)}", model, x=x, y=y, z=z, yaw=yaw)
         self.placements.append(placement)
         return placement
 
@@ -205,7 +205,7 @@ class FloorPlan:
             clearance: minimum distance to other furniture, metres.
             gap: distance between wall and back, metres.
         """
-        x, y, yaw = wall_pose(model, room, side, along, gap)
+        x, y, yaw = wall_pose(model, room, side=side, along=along, gap=gap)
         return self.place(model, x, y, yaw, None, clearance)
 
     def against_somewhere(
@@ -224,17 +224,17 @@ class FloorPlan:
         for _ in range(tries):
             side = sides[self.pick(len(sides))]
             along = float(self.rng.uniform(0.04, 0.96))
-            if avoid and self.meets(model, *wall_pose(model, room, side, along, 0.03), 0.0):
+            if avoid and self.meets(model, *wall_pose(model, room, side=side, along=along, gap=0.03), 0.0):
                 continue
-            found = self.against(model, room, side, along, clearance)
-            if found:
-                return found
+            placed = self.against(model, room, side=side, along=along, clearance=clearance)
+            if placed:
+                return placed
         return None
 
     def hang(self, model: PropModel, room: Rectangle, side: str, along: float) -> PropPlacement | None:
         """Mounts a model on a wall beside other models, or returns None if no free section is found."""
         for _ in range(6):
-            x, y, yaw = wall_pose(model, room, side, along, 0.0)
+            x, y, yaw = wall_pose(model, room, side=side, along=along, gap=0.0)
             if not self.meets(model, x, y, yaw):
                 return self.add(model, x, y, yaw)
             along = float(self.rng.uniform(0.05, 0.95))
@@ -271,7 +271,7 @@ class FloorPlan:
         reach = float(max(model.high[0], -model.low[0], model.high[1], -model.low[1], 0.3)) + 0.04
         x = room.x1 - reach if corner & 1 else room.x0 + reach
         y = room.y1 - reach if corner & 2 else room.y0 + reach
-        if avoid and self.meets(model, x, y, 0.0, 0.0):
+        if avoid and self.meets(model, x, y=y, yaw=0.0, margin=0.0):
             return None
         return self.place(model, x, y, 0.0, None, clearance)
 
@@ -281,9 +281,9 @@ class FloorPlan:
         """Places a model in the first of the four corners, in random order, that is free; `avoid` as for
         `against_somewhere`."""
         for corner in self.rng.permutation(4):
-            found = self.in_corner(model, room, int(corner), clearance, avoid)
-            if found:
-                return found
+            placed = self.in_corner(model, room, corner=int(corner), clearance=clearance, avoid=avoid)
+            if placed:
+                return placed
         return None
 
     def top_up(self, name: str, minimum: int, areas: Sequence[Rectangle], sides: str = "EW") -> None:

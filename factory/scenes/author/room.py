@@ -13,11 +13,11 @@ from factory.scenes.author.geometry import AuthoredMesh, Vector, block, lathe, o
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured, tinted, wood
 from factory.scenes.author.placement import FloorPlan, Rectangle
 
-_PLASTER = tinted("Plaster", "CeilingPlaster", "#eeece6", 1.0, 0.9)
-_BOARDS = tinted("Boards", "CeilingBoards", "#d9b98a", 1.2, 0.6)
-_BARE = tinted("Plaster", "CeilingBare", "#b9b8b3", 1.0, 0.9)
+_PLASTER = tinted("Plaster", "CeilingPlaster", colour="#eeece6", tile_m=1.0, roughness=0.9)
+_BOARDS = tinted("Boards", "CeilingBoards", colour="#d9b98a", tile_m=1.2, roughness=0.6)
+_BARE = tinted("Plaster", "CeilingBare", colour="#b9b8b3", tile_m=1.0, roughness=0.9)
 _TILES = textured("CeilingTile", "#e6e5e0", 1.2, 0.9)
-_ROOF = tinted("WallPanel", "RoofSheet", "#b4bac0", 4.0, 0.8)
+_ROOF = tinted("WallPanel", "RoofSheet", colour="#b4bac0", tile_m=4.0, roughness=0.8)
 _DUCT = painted("LightGrey", 0.35, 1.0)
 _GIRDER_PITCH_M = 5.0
 
@@ -211,7 +211,7 @@ def wall(
         pieces += _solid(strip, (start, left), (0.0, height), faces, trims)
         pieces += _solid(strip, (left, right), (door.height, height), faces, (None, None))
         frame = next((trim.frame for trim in trims if trim is not None), DOOR_FRAME)
-        pieces += _door_frame(strip, left, right, door.height, frame)
+        pieces += _door_frame(strip, left, right=right, height=door.height, material=frame)
         pieces += _switches(strip, right, trims)
         zone = (left - 0.1, right + 0.1)
         plan.keep_clear(strip.zone(zone, (-half - DOOR_CLEARANCE_M, half + DOOR_CLEARANCE_M)))

@@ -44,8 +44,8 @@ _LEAST_SHARE = 0.5
 def find_fault(plan: FloorPlan, name: str) -> str | None:
     """Returns a fault of a floor plan of a built-in scene, or `None` if it can be compiled."""
     rules = [builtin_rules().match(model) for model in {placement.model.name for placement in plan.placements}]
-    found = {rule.category for rule in rules if rule is not None}
-    missing = sorted({category for group in BUILTIN_CATEGORIES[name] for category in group} - found)
+    categories = {rule.category for rule in rules if rule is not None}
+    missing = sorted({category for group in BUILTIN_CATEGORIES[name] for category in group} - categories)
     if missing:
         return f"no place for {', '.join(missing)}"
     cut_off = cut_off_rooms(plan)

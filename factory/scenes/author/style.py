@@ -81,9 +81,9 @@ CLINIC = Finishes(
 HALL = Finishes(
     ("Sheeting", "Sheeting", "BlockWork", "Plaster", "Bricks"),
     ("Screed",),
-    ("CarpetTiles", "LoopPile"),
-    ("Chalk", "Linen", "Sky", "Sage", "Butter", "Ocean", "Stone", "Mint", "Denim", "Ash", "Olive"),
-    ("Chalk", "Graphite", "Fog", "Sage", "Sand", "Fog"),
+    piles=("CarpetTiles", "LoopPile"),
+    paints=("Chalk", "Linen", "Sky", "Sage", "Butter", "Ocean", "Stone", "Mint", "Denim", "Ash", "Olive"),
+    stone_tints=("Chalk", "Graphite", "Fog", "Sage", "Sand", "Fog"),
 )
 """Finishes of warehouses."""
 
@@ -120,11 +120,18 @@ def draw_palette(rng: Generator, finishes: Finishes = HOME) -> Palette:
     paints = [_paint(rng, finishes.walls, names[k]) for k in rng.permutation(len(names))[:6]]
     frame = int(rng.integers(2)) * len(OUTLOOKS)
     return Palette(
-        boards=_pick(rng, _one(rng, _PLANKS), "Floor", _BOARD_TINTS, 1.6, 0.5),
-        stone=_pick(rng, _one(rng, finishes.stones), "Stone", stones, 1.4, 0.35),
-        pile=_pick(rng, _one(rng, finishes.piles), "Pile", _PILE_TINTS, 1.5, 0.95),
+        boards=_pick(rng, _one(rng, _PLANKS), prefix="Floor", tints=_BOARD_TINTS, tile_m=1.6, roughness=0.5),
+        stone=_pick(rng, _one(rng, finishes.stones), prefix="Stone", tints=stones, tile_m=1.4, roughness=0.35),
+        pile=_pick(rng, _one(rng, finishes.piles), prefix="Pile", tints=_PILE_TINTS, tile_m=1.5, roughness=0.95),
         paints=tuple(paints),
-        tiles=_pick(rng, _one(rng, _WET_WALLS), "WallTile", {**_STONE_TINTS, "Aqua": "#9fc2c4"}, 1.0, 0.3),
+        tiles=_pick(
+            rng,
+            _one(rng, _WET_WALLS),
+            prefix="WallTile",
+            tints={**_STONE_TINTS, "Aqua": "#9fc2c4"},
+            tile_m=1.0,
+            roughness=0.3,
+        ),
         trim=_trim(rng),
         leaf=_one(rng, (painted("White", 0.45), wood("Oak"), wood("Walnut"), painted("LightGrey", 0.5))),
         ceiling=_one(rng, CEILINGS),
@@ -157,7 +164,7 @@ def _trim(rng: Generator) -> Trim:
         return Trim(skirting=skirting, frame=frame)
     tint = _one(rng, ("#e6e2d8", "#8a6040", "#c4925a", "#7f8c7a", "#6f8296"))
     texture = _one(rng, ("Panelling", "Plaster"))
-    dado = tinted(texture, f"Dado{texture}{tint[1:]}", tint, 1.0, 0.6)
+    dado = tinted(texture, f"Dado{texture}{tint[1:]}", colour=tint, tile_m=1.0, roughness=0.6)
     return Trim(skirting=skirting, frame=frame, dado=dado, dado_top_m=float(rng.choice((0.9, 1.05, 1.2))))
 
 
@@ -165,10 +172,12 @@ def _pick(
     rng: Generator, texture: str, prefix: str, tints: dict[str, str], tile_m: float, roughness: float
 ) -> SurfaceMaterial:
     name = _one(rng, list(tints))
-    return tinted(texture, f"{prefix}{texture}{name}", tints[name], tile_m, roughness)
+    return tinted(texture, f"{prefix}{texture}{name}", colour=tints[name], tile_m=tile_m, roughness=roughness)
 
 
 def _paint(rng: Generator, walls: tuple[str, ...], name: str) -> SurfaceMaterial:
     """Returns the material of a wall: a colour, and one of the textures at random."""
     texture = _one(rng, walls)
-    return tinted(texture, f"Wall{texture}{name}", _PAINT_TINTS[name], _WALL_TILE_M.get(texture, 0.8), 0.9)
+    return tinted(
+        texture, f"Wall{texture}{name}", colour=_PAINT_TINTS[name], tile_m=_WALL_TILE_M.get(texture, 0.8), roughness=0.9
+    )

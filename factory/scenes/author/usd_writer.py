@@ -46,7 +46,13 @@ def write_scene(plan: FloorPlan, name: str, directory: Path, metres_per_unit: fl
     UsdGeom.Xform.Define(stage, "/World/Building")
     for structure in plan.structures:
         UsdGeom.Xform.Define(stage, f"/World/Building/{structure.name}")
-        _write_meshes(stage, f"/World/Building/{structure.name}", structure.pieces, looks, metres_per_unit)
+        _write_meshes(
+            stage,
+            f"/World/Building/{structure.name}",
+            pieces=structure.pieces,
+            looks=looks,
+            metres_per_unit=metres_per_unit,
+        )
     UsdGeom.Xform.Define(stage, "/World/Props")
     for number, placement in enumerate(plan.placements):
         _write_placement(stage, placement, number, metres_per_unit)
@@ -72,7 +78,7 @@ def _write_model(model: PropModel, directory: Path, metres_per_unit: float) -> N
     stage = _new_stage(directory / f"{model.name}.usdc", model.name, metres_per_unit)
     Usd.ModelAPI(stage.GetDefaultPrim()).SetKind(Kind.Tokens.component)
     looks = _write_looks(stage, f"/{model.name}/Looks", model.pieces, "../textures")
-    _write_meshes(stage, f"/{model.name}", model.pieces, looks, metres_per_unit)
+    _write_meshes(stage, f"/{model.name}", pieces=model.pieces, looks=looks, metres_per_unit=metres_per_unit)
     stage.GetRootLayer().Save()
 
 

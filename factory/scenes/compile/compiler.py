@@ -70,7 +70,9 @@ def compile_stage(
     from factory.scenes.formats import extract_scene
 
     content = extract_scene(path, limits)
-    return compile_extraction(path.name, content, name, source, rules, chosen, has_materials=has_materials)
+    return compile_extraction(
+        path.name, content, name=name, source=source, rules=rules, chosen=chosen, has_materials=has_materials
+    )
 
 
 def compile_extraction(
@@ -107,15 +109,19 @@ def compile_extraction(
     notes = list(extraction.notes)
     parts = with_floor(_without_outliers(file, extraction, notes), extraction.floor_m)
     parts = with_ceiling(parts, extraction.ceiling_m)
-    shown = show_parts(file, extraction, parts, (rules, chosen), has_materials, notes, draw)
+    shown = show_parts(
+        file, extraction, parts=parts, selection=(rules, chosen), has_materials=has_materials, notes=notes, draw=draw
+    )
     with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
         colliders = [part for part in parts if part.is_collider]
         solid = solid_triangles([part for part in parts if not part.is_collider], colliders, floor_m)
         terrain = find_terrain(shown, solid, floor_m)
-    survey = find_reachable(file, terrain, shown, floor_m, notes)
+    survey = find_reachable(file, terrain, shown=shown, floor_m=floor_m, notes=notes)
     _require_categories(required, survey)
-    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes, detail)
+    geometry = lay_out_geometry(
+        shown.parts, shown.owners, ids=shown.ids, book=shown.book, floor_m=floor_m, notes=notes, detail=detail
+    )
     info = SceneInfo(
         name=name,
         source=source,
@@ -132,7 +138,7 @@ def compile_extraction(
         notes=_shortened(notes),
         sky=Sky() if is_open(shown.triangles(), survey.spawns, floor_m) else None,
     )
-    return _assemble(info, shown.book, geometry, weld(solid), terrain, survey)
+    return _assemble(info, shown.book, geometry=geometry, collider=weld(solid), terrain=terrain, survey=survey)
 
 
 def _require_categories(required: Collection[str], survey: Reachable) -> None:

@@ -86,7 +86,7 @@ def _lit(
 ) -> LightMap:
     """Bakes the light map; with too many charts, returns an empty map and adds a note."""
     try:
-        return bake_light(triangles, groups, brightness, floor_m, grey, detail)
+        return bake_light(triangles, groups, brightness=brightness, floor_m=floor_m, reflectance=grey, detail=detail)
     except TooManyPieces as error:
         notes.append(f"shown without baked light: {error}; decimate the densest meshes to have it")
         return LightMap(np.zeros((0, 3, 2), np.float32), np.zeros((0, 0, 3), np.uint8))

@@ -78,11 +78,13 @@ def find_reachable(file: str, terrain: Terrain, shown: ShownScene, floor_m: floa
     if len(spawns) < MIN_SPAWNS:
         notes.append(f"only {len(spawns)} spawn points fit on {free_area_m2(terrain)} m2 of connected floor")
     points = spawns.astype(np.float64)
-    listed = list_targets(terrain, shown.candidates, shown.shapes(), shown.ids, points, floor_m, notes)
+    listed = list_targets(
+        terrain, shown.candidates, shapes=shown.shapes(), ids=shown.ids, spawns=points, floor_m=floor_m, notes=notes
+    )
     targets = apply_target_edits(listed, shown.chosen)
     if not targets:
         raise WorldError(_why_no_target(file, shown, terrain, notes))
-    named = with_colours(targets, shown.parts, shown.owners, shown.book, shown.uncoloured)
+    named = with_colours(targets, shown.parts, owners=shown.owners, book=shown.book, uncoloured=shown.uncoloured)
     targets = recoloured(named, shown.chosen)
     return Reachable(targets, spawns, sees_matrix(terrain, points, targets, TaskConfig()))
 
@@ -95,9 +97,9 @@ def _why_no_target(file: str, shown: ShownScene, terrain: Terrain, notes: list[s
             f"{file} has no instance of a known category among {len(paths)} objects (such as {', '.join(paths[:5])}); "
             "name prims after their category or give category rules with --rules"
         )
-    found = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
+    listed = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
     return (
-        f"{file} has no reachable target: found {found}, {free_area_m2(terrain)} m2 of connected floor; "
+        f"{file} has no reachable target: found {listed}, {free_area_m2(terrain)} m2 of connected floor; "
         f"the robot needs 0.72 m wide passages; --floor M adds a floor to a file without one ({notes[-1]})"
     )
 
@@ -166,13 +168,13 @@ def _named_targets(
 
 
 def _with_tiers(target: Target, centroid: TiersOfPaths, surface: TiersOfPaths) -> Target:
-    found = {
+    tiers = {
         "straight_tiers": centroid[0],
         "connected_tiers": centroid[1],
         "surface_straight_tiers": surface[0],
         "surface_connected_tiers": surface[1],
     }
-    return target.model_copy(update=found)
+    return target.model_copy(update=tiers)
 
 
 def _target(candidate: Candidate, name: str, instance_id: int, shape: Floats) -> Target:
@@ -202,13 +204,13 @@ def with_colours(
     uncoloured: frozenset[str] = frozenset(),
 ) -> tuple[Target, ...]:
     """Returns the targets with the names of their dominant colours, except for uncoloured categories."""
-    own: dict[str, list[Part]] = {}
+    parts_by_path: dict[str, list[Part]] = {}
     for part, owner in zip(parts, owners, strict=True):
-        own.setdefault(owner, []).append(part)
+        parts_by_path.setdefault(owner, []).append(part)
     named = []
     for target in targets:
         if target.category in uncoloured:
             named.append(target)
             continue
-        named.append(target.model_copy(update={"colour": target_colour(own[target.prim_path], book)}))
+        named.append(target.model_copy(update={"colour": target_colour(parts_by_path[target.prim_path], book)}))
     return tuple(named)

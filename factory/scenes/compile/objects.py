@@ -123,11 +123,22 @@ def show_parts(
     users = {part.surface.texture: part.path for part in reversed(visible)}
     book = load_textures(_texture_areas(visible), partial(_read_texture, extraction), users, draw)
     notes += book.notes
-    found = find_candidates(extraction, visible, rules, lambda own: target_colour(own, book))
-    candidates = apply_candidate_edits(found, visible, chosen)
+    found_candidates = find_candidates(
+        extraction, visible, rules, lambda parts_of_target: target_colour(parts_of_target, book)
+    )
+    candidates = apply_candidate_edits(found_candidates, visible, chosen)
     owners = assign_objects(visible, [candidate.path for candidate in candidates], extraction.models)
     ids = number_objects(owners)
-    return ShownScene(visible, candidates, owners, ids, book, chosen, rules.uncoloured, has_materials)
+    return ShownScene(
+        visible,
+        candidates,
+        owners=owners,
+        ids=ids,
+        book=book,
+        chosen=chosen,
+        uncoloured=rules.uncoloured,
+        has_materials=has_materials,
+    )
 
 
 def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | None:

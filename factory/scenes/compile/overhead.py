@@ -67,7 +67,7 @@ def _plane(path: str, shown: Floats, z: float, is_seen_from_below: bool) -> Part
     (x0, y0), (x1, y1) = shown[..., :2].min(axis=(0, 1)), shown[..., :2].max(axis=(0, 1))
     corners = np.array([(x0, y0, z), (x0, y1, z), (x1, y1, z), (x1, y0, z)])
     order = [[0, 1, 2], [0, 2, 3]] if is_seen_from_below else [[0, 2, 1], [0, 3, 2]]
-    return Part(path, corners[order], None, None, _PAINT)
+    return Part(path, corners[order], uvs=None, tints=None, surface=_PAINT)
 
 
 def is_open(triangles: Floats, spawns: NDArray[np.float32], floor_m: float) -> bool:

@@ -62,11 +62,11 @@ def substance_of(surface: Surface) -> str:
     names = (surface.name, PurePosixPath(surface.texture.replace("\\", "/")).stem)
     for name in names:  # the name of the material takes precedence over that of its texture
         words = {word.lower() for word in _WORD.findall(name)}
-        found = {_BY_WORD[word] for word in words if word in _BY_WORD}
+        substances = {_BY_WORD[word] for word in words if word in _BY_WORD}
         if words & _IMITATION:
             return UNKNOWN
-        if found:
-            return found.pop() if len(found) == 1 else UNKNOWN
+        if substances:
+            return substances.pop() if len(substances) == 1 else UNKNOWN
     return "metal" if surface.is_metal else UNKNOWN
 
 
@@ -82,14 +82,14 @@ def materials_of(parts: Sequence[Part], owners: Sequence[str]) -> dict[str, tupl
     areas: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for part, owner in zip(parts, owners, strict=True):
         areas[owner][substance_of(part.surface)] += float(triangle_areas(part.triangles).sum())
-    found = {}
+    materials = {}
     for owner, shares in areas.items():
         total, first = sum(shares.values()), max(shares, key=shares.__getitem__)
         most = shares[first]
         if first != UNKNOWN and total > 0 and most >= _MOST * total:
             others = sorted(name for name, area in shares.items() if name != first and area >= _VISIBLE * total)
-            found[owner] = (first, *others)
-    return found
+            materials[owner] = (first, *others)
+    return materials
 
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

@@ -107,8 +107,8 @@ def _pieces(reader: _Reader, primitive: Any, material: Any, path: str) -> Iterat
     surface, is_two_sided = _surface(reader, material, path)
     uvs = None
     if primitive.texcoordset:
-        own = _texcoords(primitive)
-        uvs = np.asarray(primitive.texcoordset[0], np.float64)[own[cut.corners]][..., :2]
+        texcoords = _texcoords(primitive)
+        uvs = np.asarray(primitive.texcoordset[0], np.float64)[texcoords[cut.corners]][..., :2]
     yield mesh_piece(points, rows[cut.corners], surface, uvs, is_two_sided=True if is_two_sided else None)
 
 

@@ -51,10 +51,10 @@ class Document:
         Raises:
             LookupError: the index is out of range.
         """
-        found = self.items(key)
-        if not 0 <= index < len(found):
-            raise LookupError(f"{key}[{index}] is used, but there are {len(found)} {key}")
-        return dict(found[index])
+        entries = self.items(key)
+        if not 0 <= index < len(entries):
+            raise LookupError(f"{key}[{index}] is used, but there are {len(entries)} {key}")
+        return dict(entries[index])
 
     def view(self, index: int) -> tuple[memoryview, int]:
         """Returns the bytes of a buffer view, and its stride, bytes; 0 if packed."""
@@ -145,15 +145,15 @@ def _chunks(data: bytes) -> tuple[bytes, bytes]:
         raise ValueError(f"GLB version {version} is not supported, only 2; export it again")
     if length > len(data):
         raise ValueError(f"the file is truncated: {len(data)} of {length} bytes")
-    found: dict[int, bytes] = {}
+    chunks: dict[int, bytes] = {}
     place = 12
     while place + 8 <= length:
         size, kind = struct.unpack_from("<II", data, place)
         if place + 8 + size > length:
             raise ValueError(f"the file is truncated: a chunk ends at byte {place + 8 + size} of {length}")
-        found.setdefault(kind, data[place + 8 : place + 8 + size])
+        chunks.setdefault(kind, data[place + 8 : place + 8 + size])
         place += 8 + size
-    return found[_JSON], found.get(_BIN, b"")
+    return chunks[_JSON], chunks.get(_BIN, b"")
 
 
 def _normalised(values: NDArray[Any]) -> NDArray[Any]:
@@ -348,8 +348,8 @@ def _add(reader: _Reader, path: str, mesh: int, here: Floats, instancing: dict[s
         reader.note(f"{path}: skipped, {error}")
         return
     for number, copy in enumerate(copies):
-        own = path if instancing is None else f"{path}/copy[{number}]"
-        reader.content.shapes.append(ShapeNode(own, reader.pieces[mesh], here @ copy))
+        copy_path = path if instancing is None else f"{path}/copy[{number}]"
+        reader.content.shapes.append(ShapeNode(copy_path, reader.pieces[mesh], here @ copy))
 
 
 def _copies(document: Document, attributes: dict[str, int]) -> Iterator[Floats]:

@@ -52,8 +52,8 @@ class Library:
     @property
     def folders(self) -> tuple[Path, ...]:
         """Folders in which `model://` and `package://` names are searched, in this order."""
-        own = self.files.root.parent
-        return (*self.files.scene.limits.models, own, own / "models")
+        root = self.files.root.parent
+        return (*self.files.scene.limits.models, root, root / "models")
 
     def find(self, uri: str, folder: Path) -> Path:
         """Returns the path of a URI, which may not exist; a relative path is also searched in `folders`, as in Gazebo.
@@ -111,7 +111,9 @@ class Library:
             ]
         up = content.up if kind_of_file(mesh) == "glTF" else "z"  # Gazebo and RViz ignore up_axis of COLLADA
         matrix = np.asarray(to_world @ to_metres(content.metres_per_unit or 1.0, up or "z"))
-        place_content(self.files.scene, path, replace(content, shapes=shapes), matrix, is_collider)
+        place_content(
+            self.files.scene, path, content=replace(content, shapes=shapes), to_world=matrix, is_collider=is_collider
+        )
 
     def place_solid(
         self, path: str, kind: str, solid: Polygons | None, to_world: Floats, is_collider: bool, surface: Surface | None

@@ -31,8 +31,8 @@ def read_stl(data: bytes, path: Path, files: SceneFiles) -> Content:
         ValueError: the file is truncated or not valid.
         WorldError: the file has too many triangles.
     """
-    found = load_stl(io.BytesIO(data))
-    solids = found.get("geometry", {path.stem: found})
+    mesh = load_stl(io.BytesIO(data))
+    solids = mesh.get("geometry", {path.stem: mesh})
     content, names = Content(metres_per_unit=None, up=None), Names()
     for name, solid in solids.items():
         corners = np.asarray(solid["faces"], np.int64)
@@ -51,18 +51,18 @@ def read_ply(data: bytes, path: Path, files: SceneFiles) -> Content:
         ValueError: the file is truncated, not valid, or a point cloud.
         WorldError: the file has too many triangles.
     """
-    found = load_ply(io.BytesIO(data), skip_materials=True)
-    if found.get("faces") is None:
+    mesh = load_ply(io.BytesIO(data), skip_materials=True)
+    if mesh.get("faces") is None:
         raise ValueError("it has no faces; reconstruct a mesh of the point cloud first")
-    points, corners = np.asarray(found["vertices"], np.float64), _triangles(np.asarray(found["faces"]))
+    points, corners = np.asarray(mesh["vertices"], np.float64), _triangles(np.asarray(mesh["faces"]))
     files.scene.require_room(path.name, len(corners))
     surface, texture = Surface(), _TEXTURE.search(data[:_HEADER_BYTES].partition(b"end_header")[0])
-    uvs = getattr(found.get("visual"), "uv", None)
+    uvs = getattr(mesh.get("visual"), "uv", None)
     if texture:
         name = texture[1].decode("utf-8", errors="replace").strip()
         surface = files.textured(Surface(colour=(1.0, 1.0, 1.0)), path.parent, name, path.name)
     values = None if uvs is None else np.asarray(uvs, np.float64)[corners]
-    piece = mesh_piece(points, corners, surface, values, _tints(found, corners))
+    piece = mesh_piece(points, corners, surface=surface, uvs=values, tints=_tints(mesh, corners))
     content = Content(metres_per_unit=None, up=None)
     content.shapes.append(ShapeNode(Names().path("", path.stem, "mesh"), (piece,), np.eye(4)))
     return content
@@ -74,10 +74,10 @@ def _triangles(faces: Ints) -> Ints:
     return cut if cut.shape[1] == 3 else np.concatenate([cut[:, [0, 1, 2]], cut[:, [0, 2, 3]]])
 
 
-def _tints(found: dict[str, Any], corners: Ints) -> Floats | None:
+def _tints(attributes: dict[str, Any], corners: Ints) -> Floats | None:
     """Returns linear colours (T, 3, 3) of the vertices or faces, if the file has them."""
     for key, rows in (("vertex_colors", corners), ("face_colors", np.arange(len(corners))[:, None].repeat(3, axis=1))):
-        colours = found.get(key)
+        colours = attributes.get(key)
         if colours is not None and len(colours) > rows.max(initial=-1):
             values = np.asarray(colours)[:, :3]
             scale = 1.0 if values.dtype.kind == "f" and values.max(initial=0.0) <= 1.0 else 255.0

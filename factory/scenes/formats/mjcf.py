@@ -43,7 +43,7 @@ def require_files(path: Path, files: SceneFiles) -> None:
         WorldError: files are missing, outside of the folders, or too large; the message names all.
     """
     elements: list[Element] = []
-    _collect(path, path.parent, files, elements, ())
+    _collect(path, path.parent, files=files, elements=elements, above=())
     folders = {"assetdir": "", "strippath": "false"}
     for element in elements:
         if element.tag == "compiler":
@@ -59,18 +59,18 @@ def require_files(path: Path, files: SceneFiles) -> None:
     files.require_all(may_skip=False)
 
 
-def _collect(path: Path, folder: Path, files: SceneFiles, found: list[Element], above: tuple[Path, ...]) -> None:
+def _collect(path: Path, folder: Path, files: SceneFiles, elements: list[Element], above: tuple[Path, ...]) -> None:
     """Adds the elements of a file and of its includes."""
     if path in above:
         raise ValueError(f"{path.name} includes itself")
     if len(above) > 50 or len(files.digests) > _MOST_FILES:
         raise ValueError("its includes are nested too deeply")
     root = parse_xml(files.read(path))
-    found += list(root.iter())
+    elements += list(root.iter())
     for include in root.iter("include"):
         place = place_of(folder, str(include.get("file") or ""))
         if files.is_usable(place, path.name):
-            _collect(place, folder, files, found, (*above, path))
+            _collect(place, folder, files=files, elements=elements, above=(*above, path))
 
 
 _SHOWN_GROUPS = 3
@@ -104,12 +104,12 @@ def read_mjcf(path: Path, files: SceneFiles) -> None:
     decorated = {int(model.geom_bodyid[geom]) for geom in range(model.ngeom) if _decorates(model, geom)} - {0}
     for geom in range(model.ngeom):
         kind = mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
-        own = names.path(paths[int(model.geom_bodyid[geom])], model.geom(geom).name, kind)
+        prim = names.path(paths[int(model.geom_bodyid[geom])], model.geom(geom).name, kind)
         try:
             is_proxy = int(model.geom_group[geom]) == _SOLID_GROUP and int(model.geom_bodyid[geom]) in decorated
-            _place(model, data, files, geom, own, is_proxy)
+            _place(model, data, files, geom, prim, is_proxy)
         except BROKEN as error:
-            files.scene.notes.append(f"{own}: skipped, {error}")
+            files.scene.notes.append(f"{prim}: skipped, {error}")
     if model.nlight:
         files.scene.notes.append(f"{model.nlight} {LIGHTS_NOTE}")
 

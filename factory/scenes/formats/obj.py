@@ -130,7 +130,7 @@ def _piece(faces: _Faces, points: Floats, colours: Floats | None, uvs: Floats, s
     if all(len(part) > 1 and part[1] for part in parts):
         values = _values(uvs, np.array([part[1] for part in parts], np.int64) - 1)[cut.corners]
     tints = None if colours is None else colours[corners]
-    return mesh_piece(points, corners, surface, values, tints)
+    return mesh_piece(points, corners, surface=surface, uvs=values, tints=tints)
 
 
 def _values(uvs: Floats, rows: Ints) -> Floats:
@@ -140,14 +140,14 @@ def _values(uvs: Floats, rows: Ints) -> Floats:
 
 
 def _surfaces(libraries: list[str], path: Path, files: SceneFiles) -> dict[str, Surface]:
-    found: dict[str, Surface] = {}
+    surfaces: dict[str, Surface] = {}
     for name in dict.fromkeys(libraries):
         place = place_of(path.parent, name)
         if files.readable.encloses(str(place)) and place.is_file():
-            found |= read_mtl(files.read(place).decode("utf-8-sig", errors="replace"), place.parent, files)
+            surfaces |= read_mtl(files.read(place).decode("utf-8-sig", errors="replace"), place.parent, files)
         else:
             files.scene.notes.append(f"{path.name}: material library {name} is missing or outside; shown in grey")
-    return found
+    return surfaces
 
 
 def read_mtl(text: str, folder: Path, files: SceneFiles) -> dict[str, Surface]:
@@ -156,27 +156,27 @@ def read_mtl(text: str, folder: Path, files: SceneFiles) -> dict[str, Surface]:
     Raises:
         ValueError: a number is not valid.
     """
-    found: dict[str, Surface] = {}
+    surfaces_by_name: dict[str, Surface] = {}
     name = ""
     for line in text.splitlines():
         key, _, rest = line.strip().partition(" ")
         key, rest = key.lower(), rest.strip()
-        surface = found.get(name, Surface())
+        surface = surfaces_by_name.get(name, Surface())
         if key == "newmtl":
             name = rest
-            found[name] = Surface(name=name)
+            surfaces_by_name[name] = Surface(name=name)
         elif key == "kd":
             colour = display_colour(*_triple(rest))
-            found[name] = replace(surface, colour=colour, fallback=colour)
+            surfaces_by_name[name] = replace(surface, colour=colour, fallback=colour)
         elif key == "map_kd":
-            found[name] = files.textured(surface, folder, _file_of(rest), f"material {name}")
+            surfaces_by_name[name] = files.textured(surface, folder, _file_of(rest), f"material {name}")
         elif key in ("d", "tr"):
             value = float(rest.split()[-1])
-            found[name] = replace(surface, opacity=value if key == "d" else 1.0 - value)
+            surfaces_by_name[name] = replace(surface, opacity=value if key == "d" else 1.0 - value)
         elif key == "ke":
             glow = display_colour(*_triple(rest))
-            found[name] = replace(surface, emits=max(glow) > 0.05, emission=glow)
-    return {name: _white_factor(surface) for name, surface in found.items()}
+            surfaces_by_name[name] = replace(surface, emits=max(glow) > 0.05, emission=glow)
+    return {name: _white_factor(surface) for name, surface in surfaces_by_name.items()}
 
 
 def _white_factor(surface: Surface) -> Surface:

@@ -135,9 +135,16 @@ def place_geometry(library: Library, shape: Element, path: Path, name: str, to_w
         scale = np.diag([*numbers(kind.findtext("scale"), (1, 1, 1)), 1.0])
         if mesh is not None:
             submesh = kind.findtext("submesh/name", "").strip()
-            library.place_mesh(name, mesh, np.asarray(to_world @ scale), is_collider, surface, submesh)
+            library.place_mesh(
+                name,
+                mesh,
+                to_world=np.asarray(to_world @ scale),
+                is_collider=is_collider,
+                surface=surface,
+                submesh=submesh,
+            )
         return
-    library.place_solid(name, kind.tag, _solid(kind), to_world, is_collider, surface)
+    library.place_solid(name, kind.tag, solid=_solid(kind), to_world=to_world, is_collider=is_collider, surface=surface)
 
 
 def _solid(kind: Element) -> Polygons | None:
@@ -251,7 +258,7 @@ def read_sdf(path: Path, files: SceneFiles) -> None:
         raise ValueError(f"its root element is <{root.tag}>, not <sdf>")
     if len(scopes) > 1:
         files.scene.notes.append(f"{len(scopes)} worlds; the first is read: {scopes[0].get('name')}")
-    _read_scope(reader, scopes[0], path, ROOT, np.eye(4), (path,))
+    _read_scope(reader, scopes[0], path=path, parent=ROOT, here=np.eye(4), above=(path,))
     files.require_all()
     for what, count in (+reader.counts).items():
         files.scene.notes.append(f"{count} {what}")
@@ -270,11 +277,11 @@ def _read_scope(
         try:
             place = np.asarray(here @ frames.pose_of(child))
             if child.tag == "include":
-                _read_include(reader, child, path, parent, place, above)
+                _read_include(reader, child, path=path, parent=parent, place=place, above=above)
             elif child.tag == "model":
-                _read_model(reader, child, path, (parent, child.get("name")), place, above)
+                _read_model(reader, child, path=path, named=(parent, child.get("name")), place=place, above=above)
             else:
-                _read_link(reader, child, path, parent, (frames, here, place))
+                _read_link(reader, child, path=path, parent=parent, poses=(frames, here, place))
         except BROKEN as error:
             reader.files.scene.notes.append(f"{parent}/{child.get('name') or child.tag}: skipped, {error}")
 
@@ -282,10 +289,10 @@ def _read_scope(
 def _read_model(
     reader: _Reader, model: Element, path: Path, named: tuple[str, str | None], place: Floats, above: tuple[Path, ...]
 ) -> None:
-    own = reader.names.path(*named, "model")
+    model_path = reader.names.path(*named, "model")
     nested = sum(child.tag in _MODELS for child in model)
-    (reader.files.scene.groups if nested > 1 else reader.files.scene.models).add(own)
-    _read_scope(reader, model, path, own, place, above)
+    (reader.files.scene.groups if nested > 1 else reader.files.scene.models).add(model_path)
+    _read_scope(reader, model, path=path, parent=model_path, here=place, above=above)
 
 
 def _read_include(
@@ -295,17 +302,17 @@ def _read_include(
     if reader.includes > _MOST_INCLUDES:
         raise WorldError(f"{reader.files.root.name} includes more than {_MOST_INCLUDES} models; split the world")
     uri = text_of(include, "uri")
-    found = reader.library.locate(uri, path.parent, parent)
-    if found is not None and found.is_dir():
-        folder, found = found, model_file(found, reader.files)
-        if found is None or not reader.files.is_usable(found, parent):
+    location = reader.library.locate(uri, path.parent, parent)
+    if location is not None and location.is_dir():
+        folder, location = location, model_file(location, reader.files)
+        if location is None or not reader.files.is_usable(location, parent):
             reader.files.add_fault("folders without an SDF file", folder, parent)
             return
-    if found is None:
+    if location is None:
         return
-    if found in above:
+    if location in above:
         raise ValueError(f"{uri} includes itself")
-    root = reader.parsed(found)
+    root = reader.parsed(location)
     model = root if root.tag == "model" else root.find("model")
     if model is None:
         raise ValueError(f"{uri} has no <model>")
@@ -313,19 +320,19 @@ def _read_include(
     if include.find("placement_frame") is not None:
         with_own = np.asarray(with_own @ np.linalg.inv(Frames(model).frame(text_of(include, "placement_frame"))))
     name = text_of(include, "name") or model.get("name")
-    _read_model(reader, model, found, (parent, name), with_own, (*above, found))
+    _read_model(reader, model, path=location, named=(parent, name), place=with_own, above=(*above, location))
 
 
 def _read_link(reader: _Reader, link: Element, path: Path, parent: str, poses: tuple[Frames, Floats, Floats]) -> None:
     frames, model, place = poses
-    own = reader.names.path(parent, link.get("name"), "link")
+    link_path = reader.names.path(parent, link.get("name"), "link")
     reader.counts[LIGHTS_NOTE] += len(link.findall("light"))
     base = np.asarray(np.linalg.inv(model) @ place)
     for kind in ("visual", "collision"):
         for shape in link.findall(kind):
-            shape_path = reader.names.path(own, shape.get("name"), kind)
+            shape_path = reader.names.path(link_path, shape.get("name"), kind)
             try:
                 to_world = np.asarray(model @ frames.pose_of(shape, base))
-                place_geometry(reader.library, shape, path, shape_path, to_world)
+                place_geometry(reader.library, shape, path=path, name=shape_path, to_world=to_world)
             except BROKEN as error:
                 reader.files.scene.notes.append(f"{shape_path}: skipped, {error}")

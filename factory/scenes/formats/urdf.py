@@ -51,18 +51,18 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
     files.scene.reader_version = _READER_VERSION
     for link in sorted(robot.findall("link"), key=lambda link: order[str(link.get("name"))]):
         name = str(link.get("name"))
-        own = paths[name] = names.path(paths[parents.get(name, "")], link.get("name"), "link")
+        link_path = paths[name] = names.path(paths[parents.get(name, "")], link.get("name"), "link")
         if name not in parents:
-            files.scene.models.add(own)
+            files.scene.models.add(link_path)
             if name in carriers:
-                files.scene.articulated.add(own)
+                files.scene.articulated.add(link_path)
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
-                shape_path = names.path(own, shape.get("name"), kind)
+                shape_path = names.path(link_path, shape.get("name"), kind)
                 try:
                     surface = None if kind == "collision" else _surface(library, shape, materials, path, shape_path)
                     place = np.asarray(places[name] @ _origin(shape))
-                    _place_geometry(library, shape, path, shape_path, place, surface)
+                    _place_geometry(library, shape, path=path, name=shape_path, to_world=place, surface=surface)
                 except BROKEN as error:
                     files.scene.notes.append(f"{shape_path}: skipped, {error}")
     files.require_all()
@@ -136,9 +136,11 @@ def _place_geometry(
         mesh = library.locate(str(kind.get("filename") or ""), path.parent, name)
         scale = np.diag([*numbers(kind.get("scale"), (1, 1, 1)), 1.0])
         if mesh is not None:
-            library.place_mesh(name, mesh, np.asarray(to_world @ scale), is_collider, surface)
+            library.place_mesh(
+                name, mesh, to_world=np.asarray(to_world @ scale), is_collider=is_collider, surface=surface
+            )
         return
-    library.place_solid(name, kind.tag, _solid(kind), to_world, is_collider, surface)
+    library.place_solid(name, kind.tag, solid=_solid(kind), to_world=to_world, is_collider=is_collider, surface=surface)
 
 
 def _solid(kind: Element) -> Polygons | None:
@@ -156,8 +158,12 @@ def _solid(kind: Element) -> Polygons | None:
 
 def _surface(library: Library, shape: Element, materials: dict[str, Element], path: Path, name: str) -> Surface | None:
     """Returns the material of a visual, or `None` if it has none."""
-    own = shape.find("material")
-    material = None if own is None else (own if len(own) else materials.get(str(own.get("name"))))
+    shape_material = shape.find("material")
+    material = (
+        None
+        if shape_material is None
+        else (shape_material if len(shape_material) else materials.get(str(shape_material.get("name"))))
+    )
     if material is None:
         return None
     rgba, texture = material.find("color"), material.find("texture")

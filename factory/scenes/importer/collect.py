@@ -144,7 +144,7 @@ def _placed(piece: Piece, path: str, to_world: Floats, is_collider: bool) -> Par
         triangles = triangles[:, ::-1]
         uvs = None if uvs is None else uvs[:, ::-1]
         tints = None if tints is None else tints[:, ::-1]
-    return Part(path, triangles, uvs, tints, piece.surface, is_collider)
+    return Part(path, triangles, uvs=uvs, tints=tints, surface=piece.surface, is_collider=is_collider)
 
 
 def _digest_of(lines: list[str]) -> str:

@@ -157,11 +157,11 @@ def _of(values: Floats | None, chosen: NDArray[np.bool_]) -> Floats | None:
 
 
 def _transformed(uvs: Floats | None, surface: Surface, chosen: NDArray[np.bool_]) -> Floats | None:
-    found = _of(uvs, chosen)
-    if found is None or surface.uv_affine is None:
-        return found
+    transformed = _of(uvs, chosen)
+    if transformed is None or surface.uv_affine is None:
+        return transformed
     rows = np.array(surface.uv_affine).reshape(2, 3)
-    return np.asarray(found @ rows[:, :2].T + rows[:, 2])
+    return np.asarray(transformed @ rows[:, :2].T + rows[:, 2])
 
 
 def _digests(stage: Any, parts: list[Part]) -> list[tuple[str, str]]:

@@ -66,7 +66,7 @@ def read_surface(material: Any, notes: list[str]) -> Surface | None:
 
 
 def _first_input(shader: Any, *names: str) -> Any | None:
-    return next((found for name in names if (found := shader.GetInput(name))), None)
+    return next((shader_input for name in names if (shader_input := shader.GetInput(name))), None)
 
 
 def _preview(shader: Any, notes: list[str]) -> Surface:
@@ -92,8 +92,8 @@ def _preview(shader: Any, notes: list[str]) -> Surface:
 
 def _value(shader: Any, name: str) -> Any | None:
     """Returns the constant value of an input, or `None` if it is a texture or missing."""
-    found = shader.GetInput(name)
-    end = _follow(found) if found else None
+    shader_input = shader.GetInput(name)
+    end = _follow(shader_input) if shader_input else None
     return None if isinstance(end, UsdShade.Shader) else end
 
 
@@ -133,7 +133,7 @@ def _through(shader: Any, hops: int) -> Any | None:
     if "UVTexture" in kind or kind.startswith(("ND_image", "ND_tiledimage")):
         return shader
     inputs = (shader.GetInput(name) for name in _PASS_THROUGH)
-    ends = (_follow(found, hops + 1) for found in inputs if found)
+    ends = (_follow(source, hops + 1) for source in inputs if source)
     return next((end for end in ends if end is not None), None)
 
 
@@ -166,11 +166,11 @@ def _textured(shader: Any, notes: list[str]) -> Surface:
     )
 
 
-def _uv_of(found: Any | None) -> tuple[str, Affine | None]:
+def _uv_of(shader_input: Any | None) -> tuple[str, Affine | None]:
     """Returns the name of the primvar with the coordinates of a texture, and the 2-D transform of these coordinates."""
     affine: Affine | None = None
     for _ in range(_MAX_HOPS):
-        sources = _sources(found) if found else []
+        sources = _sources(shader_input) if shader_input else []
         if not sources:
             break
         shader = UsdShade.Shader(sources[0].source.GetPrim())
@@ -181,7 +181,7 @@ def _uv_of(found: Any | None) -> tuple[str, Affine | None]:
         if kind != "UsdTransform2d":
             break
         affine = _affine(shader)
-        found = shader.GetInput("in")
+        shader_input = shader.GetInput("in")
     return "st", affine
 
 
@@ -196,8 +196,8 @@ def _affine(shader: Any) -> Affine:
 def _mdl_inputs(shader: Any) -> Surface | None:
     """Returns the appearance from the inputs of an MDL shader."""
     textures, colours = {}, {}
-    for found in shader.GetInputs():
-        value, name = found.Get(), str(found.GetBaseName())
+    for shader_input in shader.GetInputs():
+        value, name = shader_input.Get(), str(shader_input.GetBaseName())
         if isinstance(value, Sdf.AssetPath) and value.path:
             textures[name] = asset_path(value)
         elif name in _MDL_COLOURS and hasattr(value, "__len__") and len(value) >= 3:

@@ -47,10 +47,10 @@ def triangulate(points: Floats, counts: Ints, indices: Ints) -> Triangulation:
     starts = np.cumsum(counts) - counts
     corners, faces = [_NONE], [np.zeros(0, np.int64)]
     for size in np.unique(counts[counts >= 3]):
-        found = np.flatnonzero(counts == size)
-        cut, owner = _cut_faces(points, indices, starts[found], int(size))
+        rows = np.flatnonzero(counts == size)
+        cut, owner = _cut_faces(points, indices, starts[rows], int(size))
         corners.append(cut)
-        faces.append(found[owner])
+        faces.append(rows[owner])
     face = np.concatenate(faces)
     order = np.argsort(face, kind="stable")
     return Triangulation(np.concatenate(corners)[order], face[order])

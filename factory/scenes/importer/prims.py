@@ -89,7 +89,7 @@ def _polygon_mesh(prim: Any, notes: list[str]) -> ImportedMesh | None:
     if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
         cut = Triangulation(cut.corners[:, ::-1], cut.faces)
     two_sided = bool(mesh.GetDoubleSidedAttr().Get()) and not bounds_volume(points, indices[cut.corners])
-    return ImportedMesh(points, counts, indices, cut, two_sided)
+    return ImportedMesh(points, counts, indices=indices, cut=cut, is_two_sided=two_sided)
 
 
 def _without_holes(cut: Triangulation, holes: Any) -> Triangulation:
@@ -138,9 +138,9 @@ def corner_values(prim: Any, mesh: ImportedMesh, name: str) -> Floats | None:
 def uv_values(prim: Any, mesh: ImportedMesh, uv_set: str) -> Floats | None:
     """Returns texture coordinates (T, 3, 2) from the named primvar, or else from the default primvars."""
     for name in (uv_set, *_UV_NAMES):
-        found = corner_values(prim, mesh, name)
-        if found is not None and found.shape[-1] >= 2:
-            return found[..., :2]
+        values = corner_values(prim, mesh, name)
+        if values is not None and values.shape[-1] >= 2:
+            return values[..., :2]
     return None
 
 

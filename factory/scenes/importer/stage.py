@@ -113,8 +113,8 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
 def _root_prims_note(stage: Any) -> str:
     """Returns the note on the imported prims of a stage without a valid defaultPrim."""
     wanted = stage.GetRootLayer().defaultPrim
-    found = f"defaultPrim {wanted!r} does not exist" if wanted else "no defaultPrim authored"
-    return f"{found}; all root prims are taken: {_roots(stage)}; deactivate those that are not of the scene"
+    problem = f"defaultPrim {wanted!r} does not exist" if wanted else "no defaultPrim authored"
+    return f"{problem}; all root prims are taken: {_roots(stage)}; deactivate those that are not of the scene"
 
 
 def _roots(stage: Any) -> str:
@@ -132,9 +132,9 @@ def _foreign_units(stage: Any, metres: float) -> Iterator[str]:
     for layer in sorted(stage.GetUsedLayers(), key=lambda layer: str(layer.GetDisplayName())):
         if layer == stage.GetRootLayer() or not layer.pseudoRoot.HasInfo("metersPerUnit"):
             continue
-        found = float(layer.pseudoRoot.GetInfo("metersPerUnit"))
-        if abs(found - metres) > 1e-9:
-            yield f"{layer.GetDisplayName()} has metersPerUnit {found}, the stage {metres}; taken as authored"
+        unit_m = float(layer.pseudoRoot.GetInfo("metersPerUnit"))
+        if abs(unit_m - metres) > 1e-9:
+            yield f"{layer.GetDisplayName()} has metersPerUnit {unit_m}, the stage {metres}; taken as authored"
 
 
 def _foreign_layers(stage: Any, root: Path) -> Iterator[str]:
@@ -233,7 +233,7 @@ def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[P
         old, new = str(prototype.GetPath()), f"{path}/{prototype.GetName()}[{k}]"
         place = here @ matrix_of(copy) @ np.linalg.inv(walk.matrix(prototype))
 
-        def rename(found: Any, old: str = old, new: str = new) -> str:
-            return new + str(found)[len(old) :]
+        def rename(walk_copies: Any, old: str = old, new: str = new) -> str:
+            return new + str(walk_copies)[len(old) :]
 
         yield from _walk_below(walk, prototype, rename, place)

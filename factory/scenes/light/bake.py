@@ -156,12 +156,12 @@ def bake_light(
     np.maximum.at(glow, charts.of_triangle, brightness)
     bounds = np.array((triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))))
     caster, lamps = Caster(triangles), find_lamps(charts, glow, bounds, floor_m)
-    gain = detail.density * _interest(caster, charts, bends, lamps, detail.coarse)
+    gain = detail.density * _interest(caster, charts, bends=bends, lamps=lamps, coarse=detail.coarse)
     layout = unwrap(charts, gain, bends.least_texels())
     texels = lay_texels(charts, bends, layout)
     owner = np.full(layout.shape, -1, np.int64)
     owner[texels.cell] = texels.chart
-    cast, known = _cast_light(caster, texels.cast(), lamps, owner, detail)
+    cast, known = _cast_light(caster, texels.cast(), lamps=lamps, owner=owner, detail=detail)
     touch = _contact(triangles, floor_m, texels)
     filled = fill_hidden(np.concatenate((cast, texel_maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
@@ -175,7 +175,7 @@ def bake_light(
 def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints, detail: LightDetail) -> tuple[Floats, Bools]:
     """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
     sky, open_spots = sky_light(caster, texels, detail.sky)
-    whole, free = lamp_light(caster, texels, open_spots, lamps, detail.lamps)
+    whole, free = lamp_light(caster, texels, open_spots=open_spots, lamps=lamps, rays=detail.lamps)
     known = texel_mask(owner.shape, texels, np.asarray(open_spots.any(axis=1)))
     bent = texel_mask(owner.shape, texels, texels.is_bent)
     cast = texel_maps(owner.shape, texels, sky, free, whole)
@@ -192,7 +192,7 @@ def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps, coarse
     grid = lay_texels(charts, bends, layout)
     texels, chart = grid.cast(), grid.chart[~grid.is_spare]
     _, open_spots = sky_light(caster, texels, _COARSE_SKY)
-    whole, free = lamp_light(caster, texels, open_spots, lamps, _COARSE_LAMPS)
+    whole, free = lamp_light(caster, texels, open_spots=open_spots, lamps=lamps, rays=_COARSE_LAMPS)
     shown = open_spots.any(axis=1)
     is_seen, is_lit = np.zeros(len(charts.area), bool), np.zeros(len(charts.area), bool)
     is_seen[chart[shown]] = True

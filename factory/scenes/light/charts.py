@@ -51,10 +51,10 @@ def interpolate(values: Floats, chart: Ints, share: Floats) -> Floats:
     along, across = np.stack((second - first, third - fourth)), np.stack((third - second, fourth - first))
     side = (share[:, 0, 0] < share[:, 0, 1]).astype(np.int64)
     base, along, across = first[chart], along[side, chart], across[side, chart]
-    found = np.empty((*share.shape[:2], values.shape[2]))
+    result = np.empty((*share.shape[:2], values.shape[2]))
     for spot in range(share.shape[1]):
-        found[:, spot] = base + share[:, spot, :1] * along + share[:, spot, 1:] * across
-    return found
+        result[:, spot] = base + share[:, spot, :1] * along + share[:, spot, 1:] * across
+    return result
 
 
 def find_patches(triangles: Floats, of_triangle: Ints, axes: Floats) -> Patches:

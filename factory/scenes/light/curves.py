@@ -83,9 +83,9 @@ def _pairs(vertex: Ints) -> tuple[Ints, Ints]:
     counts = np.bincount(vertex)
     starts = np.cumsum(counts) - counts
     crowded = counts[vertex[order]] > _MOST_AT_A_CORNER
-    own = np.where(crowded, 1, counts[vertex[order]])
-    rows = np.repeat(np.arange(len(order)), own)
-    within = np.arange(len(rows)) - np.repeat(np.cumsum(own) - own, own)
+    weights = np.where(crowded, 1, counts[vertex[order]])
+    rows = np.repeat(np.arange(len(order)), weights)
+    within = np.arange(len(rows)) - np.repeat(np.cumsum(weights) - weights, weights)
     first = np.where(crowded, np.arange(len(order)), starts[vertex[order]])
     return order[rows].astype(np.int64), order[first[rows] + within].astype(np.int64)
 

@@ -103,7 +103,10 @@ def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
     owner[texels.cell] = texels.chart
     cast, caster = texels.cast(), Caster(triangles)
     sky, open_spots = sky_light(caster, cast, FINE_SKY)
-    reached = [np.multiply(*lamp_light(caster, cast, open_spots, lamps.chosen(rows), FINE_LAMPS)) for rows in members]
+    reached = [
+        np.multiply(*lamp_light(caster, cast, open_spots=open_spots, lamps=lamps.chosen(rows), rays=FINE_LAMPS))
+        for rows in members
+    ]
     known = texel_mask(layout.shape, cast, np.asarray(open_spots.any(axis=1)))
     smooth, is_near = smooth_charts(texel_maps(layout.shape, cast, sky, *reached), known, owner)
     filled = fill_hidden(smooth, is_near, owner)
@@ -113,7 +116,7 @@ def bake_light_groups(scene: CompiledScene, sha256: str) -> LightGroups:
         layout.shape, texels, *_indirect(lamps, members, is_strong, texels.place(np.arange(len(texels.chart))).middles)
     )
     shares = _shares(filled[0], filled[1:], bounced, is_near)
-    _light_lamps(shares, members, lamps, charts, owner, glow)
+    _light_lamps(shares, members, lamps=lamps, charts=charts, owner=owner, glow=glow)
     return LightGroups(info, _quantised(shares))
 
 
@@ -188,15 +191,15 @@ def _glow(scene: CompiledScene, charts: Charts, cell: tuple[Ints, Ints], chart: 
 
 def _indirect(lamps: Lamps, members: list[Ints], is_strong: list[bool], points: Floats) -> Floats:
     """Returns (K, N) the share of each group in the indirect light at N points, estimated from power and distance."""
-    found = np.zeros((len(members), len(points)))
+    light = np.zeros((len(members), len(points)))
     for first in range(0, len(points), _CHUNK):
         run = slice(first, first + _CHUNK)
         for number in np.flatnonzero(is_strong):
             rows = members[number]
             gaps = points[run, None] - lamps.centre[rows]
             near = lamps.power[rows] / (np.einsum("nlk,nlk->nl", gaps, gaps) + 1.0) ** 1.5
-            found[number, run] = near.sum(axis=1)
-    return np.asarray(found / np.maximum(found.sum(axis=0), 1e-30))
+            light[number, run] = near.sum(axis=1)
+    return np.asarray(light / np.maximum(light.sum(axis=0), 1e-30))
 
 
 def _shares(sky: Floats, lamps: Floats, bounced: Floats, known: Bools) -> Floats:
@@ -225,9 +228,9 @@ def _light_lamps(shares: Floats, members: list[Ints], lamps: Lamps, charts: Char
     of_chart[emitting] = group[gaps.argmin(axis=1)]
     texel = np.where(owner >= 0, of_chart[owner], 0)
     for number in range(1, len(shares)):
-        own = texel == number
-        shares[:, own] = 0.0
-        shares[0, own], shares[number, own] = _OFF_SHARE, 1 - _OFF_SHARE
+        is_own = texel == number
+        shares[:, is_own] = 0.0
+        shares[0, is_own], shares[number, is_own] = _OFF_SHARE, 1 - _OFF_SHARE
 
 
 def _quantised(shares: Floats) -> NDArray[np.uint8]:

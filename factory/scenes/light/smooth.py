@@ -126,13 +126,13 @@ def _near(values: Floats, known: Bools, owner: Ints, cells: tuple[NDArray[np.int
     """Returns the sum and number of the known values of the same chart around the given cells."""
     count = np.zeros(len(cells[0]))
     total = np.zeros((*values.shape[:-2], len(count)))
-    own = owner[cells]
+    cell_owner = owner[cells]
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             rows, columns = cells[0] + down, cells[1] + right
             inside = (rows >= 0) & (rows < owner.shape[0]) & (columns >= 0) & (columns < owner.shape[1])
             rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
-            same = inside & known[rows, columns] & (owner[rows, columns] == own)
+            same = inside & known[rows, columns] & (owner[rows, columns] == cell_owner)
             total += np.where(same, values[..., rows, columns], 0.0)
             count += same
     return total, count

@@ -98,7 +98,9 @@ def lay_texels(charts: Charts, bends: Bends, layout: Unwrap) -> TexelGrid:
     place = layout.place[chart] + local
     is_dense = (layout.size.min(axis=1) >= _LARGE) & ~bends.is_bent
     is_spare = is_dense[chart] & ((right + down) % 2 == 1)
-    return TexelGrid(charts, bends, layout, (place[:, 1], place[:, 0]), chart, local, is_spare)
+    return TexelGrid(
+        charts, bends, layout=layout, cell=(place[:, 1], place[:, 0]), chart=chart, local=local, is_spare=is_spare
+    )
 
 
 def _points(charts: Charts, chart: Ints, local: Ints, size: Ints, is_bent: Bools) -> Floats:

@@ -88,10 +88,10 @@ def draw_band(triangles: Floats, floor_m: float, band: tuple[float, float], fram
         frame: origin and shape of the grid.
     """
     low, high = floor_m + band[0], floor_m + band[1]
-    found = _in_band(triangles, floor_m, band)
+    in_band = _in_band(triangles, floor_m, band)
     cells = np.zeros(frame.shape, bool)
-    _draw_segments(cells, *_outlines(found, low, high), frame)
-    flat = found[_plan_extent(found) > 1.5 * frame.resolution_m]
+    _draw_segments(cells, *_outlines(in_band, low, high), frame)
+    flat = in_band[_plan_extent(in_band) > 1.5 * frame.resolution_m]
     _fill(cells, flat, low, high, frame)
     return cells
 

@@ -125,7 +125,7 @@ def tiers_of(
         spawns: (S, 2) surveyed points, metres.
     """
     goals = [Goal.of(target, TaskConfig(success=success)) for target in targets]
-    found: list[tuple[tuple[Tier, ...], tuple[Tier, ...]] | None] = [None] * len(targets)
+    tiers: list[tuple[tuple[Tier, ...], tuple[Tier, ...]] | None] = [None] * len(targets)
     for batch in batches(goals):
         every = Goals.of([targets[row] for row in batch], [goals[row] for row in batch])
         rows = np.flatnonzero(_are_reachable(terrain, every))
@@ -136,8 +136,8 @@ def tiers_of(
         straight[Tier.FAR] = np.asarray(_see(terrain, spawns, reachable, is_far).any(axis=1))
         connected[Tier.FAR] = np.asarray(is_far.any(axis=1))
         for place, row in enumerate(batch[rows].tolist()):
-            found[row] = _chosen(straight, place), _chosen(connected, place)
-    return found
+            tiers[row] = _chosen(straight, place), _chosen(connected, place)
+    return tiers
 
 
 def _chosen(tiers: dict[Tier, Bools], place: int) -> tuple[Tier, ...]:
@@ -148,14 +148,14 @@ def _are_reachable(terrain: Terrain, goals: Goals) -> Bools:
     """Returns for each target whether its success region has a free pose on the connected floor from which the target
     is visible."""
     yaw = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
-    found = np.zeros(len(goals.centres), bool)
+    reachable = np.zeros(len(goals.centres), bool)
     for share in _ARRIVAL_SHARES:  # most targets are reachable at the first distance
-        rows = np.flatnonzero(~found)
+        rows = np.flatnonzero(~reachable)
         owner, points = _ring(terrain, goals, rows, share * ARRIVAL_RADIUS_M)
         headings = _toward(goals.centres[owner], points)[:, None] + yaw
         fits = terrain.fits(points[:, None, 0], points[:, None, 1], headings, 0.0).any(axis=1)
-        found[owner[fits]] = True
-    return found
+        reachable[owner[fits]] = True
+    return reachable
 
 
 def _ring_tiers(terrain: Terrain, goals: Goals) -> tuple[dict[Tier, Bools], dict[Tier, Bools]]:

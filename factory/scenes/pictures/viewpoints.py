@@ -58,11 +58,11 @@ def looking(
     pose = Pose(
         float(eye[0]),
         float(eye[1]),
-        float(eye[2]),
-        cos_yaw * cos_pitch,
-        -sin_yaw * sin_pitch,
-        cos_yaw * sin_pitch,
-        sin_yaw * cos_pitch,
+        z=float(eye[2]),
+        qw=cos_yaw * cos_pitch,
+        qx=-sin_yaw * sin_pitch,
+        qy=cos_yaw * sin_pitch,
+        qz=sin_yaw * cos_pitch,
     )
     return Viewpoint(pose, CameraConfig(name="view", x_m=0.0, y_m=0.0, z_m=1e-6, fov_deg=fov_deg, near_m=near_m))
 

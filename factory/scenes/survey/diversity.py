@@ -130,7 +130,7 @@ def map_distance(one: Bools, two: Bools) -> float:
 
 def _jaccard(one: Bools, two: Bools) -> float:
     shape = np.maximum(one.shape, two.shape)
-    first, second = (np.pad(each, [(0, int(size - own)) for size, own in zip(shape, each.shape, strict=True)])
+    first, second = (np.pad(each, [(0, int(size - length)) for size, length in zip(shape, each.shape, strict=True)])
                      for each in (one, two))  # fmt: skip
     union = int((first | second).sum())
     return 1.0 - int((first & second).sum()) / union if union else 0.0
@@ -138,10 +138,10 @@ def _jaccard(one: Bools, two: Bools) -> float:
 
 def nearest_neighbours(maps: Mapping[int, Bools]) -> dict[int, tuple[int, float]]:
     """Returns, by the seed of each layout, the seed of the most similar other layout, and their distance."""
-    found: dict[int, tuple[int, float]] = {}
+    nearest: dict[int, tuple[int, float]] = {}
     for one, two in combinations(sorted(maps), 2):
         distance = map_distance(maps[one], maps[two])
-        for own, other in ((one, two), (two, one)):
-            if own not in found or distance < found[own][1]:
-                found[own] = (other, round(distance, 4))
-    return found
+        for pair, other in ((one, two), (two, one)):
+            if pair not in nearest or distance < nearest[pair][1]:
+                nearest[pair] = (other, round(distance, 4))
+    return nearest

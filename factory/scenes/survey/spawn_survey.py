@@ -158,14 +158,14 @@ def _sight(scene: CompiledScene, sees: NDArray[np.uint8], row: int) -> SpawnSigh
 
 
 def _shortcomings(scene: CompiledScene) -> tuple[str, ...]:
-    found = []
+    shortcomings = []
     if len(scene.spawns) < MIN_SPAWNS:
-        found.append(
+        shortcomings.append(
             f"only {len(scene.spawns)} of {MIN_SPAWNS} recommended spawn points fit on {scene.info.free_area_m2:g} m2 "
             "of connected floor, because the robot must fit with three of four headings; widen passages beyond "
             "0.72 m, join the floor to one piece or enlarge it"
         )
     by_surface = any(Tier.FAR in target.surface_straight_tiers for target in scene.info.targets)
     if len(scene.spawns) and not (scene.spawn_sees.any() or by_surface):
-        found.append("no start point has a free straight path to a target; clear the floor around the targets")
-    return tuple(found)
+        shortcomings.append("no start point has a free straight path to a target; clear the floor around the targets")
+    return tuple(shortcomings)

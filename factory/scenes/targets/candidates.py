@@ -96,11 +96,11 @@ class _Tree:
             return False
         if rule.thickest_m is None and not rule.colours:
             return True
-        own = [part for part in self.parts if part.path == path or part.path.startswith(f"{path}/")]
-        width = footprint_width(np.concatenate([part.triangles for part in own]))
+        parts = [part for part in self.parts if part.path == path or part.path.startswith(f"{path}/")]
+        width = footprint_width(np.concatenate([part.triangles for part in parts]))
         if rule.thickest_m is not None and width > rule.thickest_m:
             return False
-        return not rule.colours or self.colour_of(own) in rule.colours
+        return not rule.colours or self.colour_of(parts) in rule.colours
 
 
 def find_candidates(

@@ -17,20 +17,20 @@ from schemas.scene import Target
 
 
 def apply_candidate_edits(
-    found: tuple[Candidate, ...], parts: Sequence[Part], chosen: TargetList | None
+    candidates: tuple[Candidate, ...], parts: Sequence[Part], chosen: TargetList | None
 ) -> tuple[Candidate, ...]:
     """Returns the listed prims as candidates, with the candidates of the rules that do not overlap them.
 
     Args:
-        found: candidates that the rules find.
+        candidates: candidates that the rules find.
         parts: visible parts.
-        chosen: target list of the user, or `None` to return `found`.
+        chosen: target list of the user, or `None` to return `candidates`.
 
     Raises:
         UsageError: the list names prims that are not visible, or a prim inside another listed prim.
     """
     if chosen is None:
-        return found
+        return candidates
     paths = [entry.prim_path for entry in chosen.targets]
     inner = [(a, b) for a in paths for b in paths if a.startswith(b + "/")]
     if inner:
@@ -45,7 +45,7 @@ def apply_candidate_edits(
         Candidate(entry.prim_path, entry.category, _box(group))
         for entry, group in zip(chosen.targets, groups, strict=True)
     ]
-    apart = [one for one in found if not any(_is_in(one.path, path) or _is_in(path, one.path) for path in paths)]
+    apart = [one for one in candidates if not any(_is_in(one.path, path) or _is_in(path, one.path) for path in paths)]
     return tuple(sorted([*listed, *apart], key=lambda candidate: candidate.path))
 
 

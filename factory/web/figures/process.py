@@ -97,18 +97,18 @@ def _themed(svg: str) -> str:
         f"<style>:root {{ {css_variables(dark=False)} }} @media (prefers-color-scheme: dark) {{ :root "
         f"{{ {css_variables(dark=True)} }} }}</style>"
     )
-    return re.sub(r"(<svg [^>]*>)", lambda found: found[1] + style, with_variables(svg), count=1)
+    return re.sub(r"(<svg [^>]*>)", lambda match: match[1] + style, with_variables(svg), count=1)
 
 
 def _key_of(root: Place) -> str:
     """Returns the SHA-256 of the tables, of the code of the figures and of the type of the renderer."""
-    found = hashlib.sha256(read_renderer().encode())
+    hasher = hashlib.sha256(read_renderer().encode())
     for name in _TABLES:
         with suppress(FileNotFoundError):
-            found.update(name.encode() + hashlib.sha256((root / name).read_bytes()).digest())
+            hasher.update(name.encode() + hashlib.sha256((root / name).read_bytes()).digest())
     for path in sorted(path for folder in _CODE for path in folder.rglob("*.py")):
-        found.update(path.read_bytes())
-    return found.hexdigest()
+        hasher.update(path.read_bytes())
+    return hasher.hexdigest()
 
 
 def _remember(path: Path, drawn: DrawnStatistics) -> None:

@@ -137,4 +137,6 @@ class StatisticsStore(Closing):
     def _take(self, message: Message) -> None:
         with self._lock:
             drawn, is_last = message.drawn or self._state.drawn, message.drawn is not None and message.drawn.is_complete
-            self._state = StatisticsState(drawn, message.trouble, not is_last, message.done, message.total)
+            self._state = StatisticsState(
+                drawn, message.trouble, is_drawing=not is_last, done=message.done, total=message.total
+            )

@@ -184,11 +184,11 @@ def list_objects(request: Request) -> Response:
     names = [
         f"{item.prim_path.rpartition('/')[2]}" + (f" ({item.category})" if item.category else "") for item in instances
     ]
-    found: dict[str, str] = {}
+    objects: dict[str, str] = {}
     for colour, name in zip(colours, names, strict=True):
         key = ",".join(map(str, colour))
-        found[key] = f"{found[key]} or {name}" if key in found else name
-    return JSONResponse(found)
+        objects[key] = f"{objects[key]} or {name}" if key in objects else name
+    return JSONResponse(objects)
 
 
 def _neighbours(context: WebContext, index: int) -> list[tuple[str, str]]:
@@ -248,10 +248,10 @@ def _steps(episode: Episode, last: int) -> list[StepView]:
         StepView(
             step.number,
             step.text,
-            step.start,
-            min(step.end, last + 1) - 1,
-            WIDTH * step.start / (last + 1),
-            WIDTH * (min(step.end, last + 1) - step.start) / (last + 1),
+            first=step.start,
+            last=min(step.end, last + 1) - 1,
+            x=WIDTH * step.start / (last + 1),
+            width=WIDTH * (min(step.end, last + 1) - step.start) / (last + 1),
         )
         for step in episode.steps
     ]

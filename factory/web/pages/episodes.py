@@ -55,16 +55,16 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
     context = context_of(request)
     marks = context.marks.read()
     flagged = {name for name, mark in marks.items() if mark.flagged}
-    found = table.select(query, flagged)
-    rows = table.rows(found[query.page * PAGE_ROWS : (query.page + 1) * PAGE_ROWS])
-    last = max(0, (len(found) - 1) // PAGE_ROWS)
+    selected = table.select(query, flagged)
+    rows = table.rows(selected[query.page * PAGE_ROWS : (query.page + 1) * PAGE_ROWS])
+    last = max(0, (len(selected) - 1) // PAGE_ROWS)
     prepare_scenes(context, rows)
     return page(
         request,
         "episodes",
         "Episodes",
         query=query,
-        count=len(found),
+        count=len(selected),
         total=len(table),
         rows=[(_cells(row), marks.get(row["episode_id"])) for row in rows],
         heads=list(_heads(query)),

@@ -34,16 +34,16 @@ def routes() -> list[Route]:
 def show_all(request: Request) -> Response:
     """Answers with the list of evaluations and their main metrics; a damaged one is listed with its error."""
     known = context_of(request).evaluations
-    found: list[tuple[str, EvaluationReading | None, MeasureTable | None, str]] = []
+    entries: list[tuple[str, EvaluationReading | None, MeasureTable | None, str]] = []
     for name in known.names:
         try:
             reading = known.read(name)
         except FactoryError as error:
-            found.append((name, None, None, str(error)))
+            entries.append((name, None, None, str(error)))
         else:
             table = main_table(reading.evaluation.policies) if reading.evaluation else None
-            found.append((name, reading, table, ""))
-    return page(request, "evaluations", "Evaluations", evaluations=found)
+            entries.append((name, reading, table, ""))
+    return page(request, "evaluations", "Evaluations", evaluations=entries)
 
 
 def show(request: Request) -> Response:
@@ -77,12 +77,12 @@ def film(request: Request) -> Response:
     number = request.path_params["policy"]
     spec, dot, kind = file.rpartition(".")
     policy = reading.policies[number] if number < len(reading.policies) else None
-    found = policy.video(spec, f".{kind}") if policy is not None and f"{dot}{kind}" in _KINDS else None
-    if found is None:
+    video = policy.video(spec, f".{kind}") if policy is not None and f"{dot}{kind}" in _KINDS else None
+    if video is None:
         raise HTTPException(
             404, "this video does not exist; `factory eval --videos N` renders videos of N failures of each policy"
         )
-    return FileResponse(found, media_type=_KINDS[f".{kind}"], headers={"cache-control": "private, max-age=60"})
+    return FileResponse(video, media_type=_KINDS[f".{kind}"], headers={"cache-control": "private, max-age=60"})
 
 
 def _reading(request: Request, name: str) -> EvaluationReading:

@@ -134,7 +134,13 @@ def _tiles(farm: Farm) -> list[tuple[str, str, str]]:
 
 def _cells(reading: FarmReading) -> Iterator[QuotaRow]:
     for (scene, tier, split), counts in reading.cells.items():
-        yield QuotaRow(scene, tier, split, sum(counts.values()), tuple(counts.get(state, 0) for state in _STATES))
+        yield QuotaRow(
+            scene,
+            tier,
+            split=split,
+            quota=sum(counts.values()),
+            counts=tuple(counts.get(state, 0) for state in _STATES),
+        )
 
 
 def _worker(worker: WorkerStatus, farm: Farm) -> WorkerRow:

@@ -37,10 +37,10 @@ def routes() -> list[Route]:
 def show_all(request: Request) -> Response:
     """Answers with one page of the list of scenes; `?family=NAME` selects the layouts of a family."""
     context, query = context_of(request), request.query_params
-    found = context.workspace.scenes()
+    known_scenes = context.workspace.scenes()
     family, number = query.get("family", ""), page_number(query)
-    names = [name for name in found.packages if family in ("", name, family_of(name))]
-    unbuilt = [name for name in found.unbuilt if family in ("", name, family_of(name))]
+    names = [name for name in known_scenes.packages if family in ("", name, family_of(name))]
+    unbuilt = [name for name in known_scenes.unbuilt if family in ("", name, family_of(name))]
     last = max(0, (len(names) - 1) // _PAGE_SCENES)
     counts, fault = _episode_counts(context)
     shown = names[number * _PAGE_SCENES : (number + 1) * _PAGE_SCENES]
@@ -97,13 +97,13 @@ def draw_failures(request: Request) -> Response:
 def _placed(context: WebContext, name: str, floor: Floor) -> list[tuple[FailedPlace, FloorMark]]:
     """Returns the newest failed attempts with a known location, of the robot or of the target."""
     targets = {target.target_id: target.centroid_m for target in floor.info.targets}
-    found = []
+    marks = []
     for failure in context.workspace.failures(name):
         xy_m = failure.xy_m or targets.get(failure.target_id)
         if xy_m is not None:
             mark = FloorMark(failure.reason, (float(xy_m[0]), float(xy_m[1])), failure.xy_m is not None)
-            found.append((failure, mark))
-    return found
+            marks.append((failure, mark))
+    return marks
 
 
 def _view_box(text: str) -> str:
@@ -130,12 +130,14 @@ def package_named(context: WebContext, name: str) -> ScenePackage:
     meta = context.workspace.meta()
     digest = meta.scenes.get(name) if meta else None
     if digest is None:
-        found = context.workspace.scenes()
-        if name in found.unbuilt:
+        scenes = context.workspace.scenes()
+        if name in scenes.unbuilt:
             raise HTTPException(404, f"{name} is not built yet; the run builds it")
-        if name not in found.packages:
-            raise HTTPException(404, f"the dataset has no scene {name[:80]!r}{did_you_mean(name[:80], found.packages)}")
-        digest = found.packages[name]
+        if name not in scenes.packages:
+            raise HTTPException(
+                404, f"the dataset has no scene {name[:80]!r}{did_you_mean(name[:80], scenes.packages)}"
+            )
+        digest = scenes.packages[name]
     return ScenePackage(context.workspace.root, name, digest)
 
 
@@ -149,9 +151,9 @@ def _episode_counts(context: WebContext) -> tuple[dict[str, int], str]:
 
 def _counts(column: pa.Array) -> dict[str, int]:
     """Returns the number of rows by value, without a Python object for each row."""
-    found = pc.value_counts(column)
-    names = found.field("values").cast(pa.string()).to_pylist()
-    return dict(zip(names, found.field("counts").to_pylist(), strict=True))
+    counts = pc.value_counts(column)
+    names = counts.field("values").cast(pa.string()).to_pylist()
+    return dict(zip(names, counts.field("counts").to_pylist(), strict=True))
 
 
 def _of_scene(context: WebContext, name: str) -> tuple[dict[str, int], list[str], str]:
@@ -161,10 +163,10 @@ def _of_scene(context: WebContext, name: str) -> tuple[dict[str, int], list[str]
         table = context.workspace.table()
     except FactoryError as error:
         return {}, [], str(error)
-    found, dataset = table.select(TableQuery({"scene": name})), table.dataset
-    targets = _counts(dataset.column("target_id").take(pa.array(found)))
-    step = max(1, len(found) // _VIEWS)
-    return targets, dataset.column("episode_id").take(pa.array(found[::step][:_VIEWS])).to_pylist(), ""
+    rows, dataset = table.select(TableQuery({"scene": name})), table.dataset
+    targets = _counts(dataset.column("target_id").take(pa.array(rows)))
+    step = max(1, len(rows) // _VIEWS)
+    return targets, dataset.column("episode_id").take(pa.array(rows[::step][:_VIEWS])).to_pylist(), ""
 
 
 def _dot(floor: Floor) -> float:

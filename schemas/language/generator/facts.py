@@ -38,11 +38,11 @@ class SceneFacts:
         if key not in self._kind_masks:
             table, objects = self.graph.kinds, self.graph.objects
             inside, alike = table.kinds_of(kind), table.borderline_of(kind)
-            own = np.array([each.kind in inside for each in objects], bool)
+            is_kind = np.array([each.kind in inside for each in objects], bool)
             looks = np.array([each.looks in inside for each in objects], bool)
-            sure = own & (looks | np.array([each.looks is None for each in objects], bool))
+            sure = is_kind & (looks | np.array([each.looks is None for each in objects], bool))
             shows = np.array([not inside.isdisjoint(each.shows) for each in objects], bool)
-            possible = own | looks | shows | np.array([each.kind in alike for each in objects], bool)
+            possible = is_kind | looks | shows | np.array([each.kind in alike for each in objects], bool)
             if colour is not None:
                 same = np.array([each.colour == colour for each in objects], bool)
                 sure &= same
@@ -57,16 +57,16 @@ class SceneFacts:
     @cached_property
     def landmarks(self) -> tuple[tuple[Described, ...], ...]:
         """Short descriptions of each object: its kind, and its kind and colour."""
-        found = []
+        landmarks = []
         for number, each in enumerate(self.graph.objects):
             has_colour = self.graph.kinds.of(each.kind).plain and each.colour != UNKNOWN
-            own = []
+            nouns = []
             for colour in (None, each.colour) if has_colour else (None,):
                 masks = self.described(each.kind, colour)
                 landmark = Landmark(kind=each.kind, colour=colour, definite=masks.fits_only(number))
-                own.append(Described(landmark, masks, np.flatnonzero(masks.sure), np.flatnonzero(masks.possible)))
-            found.append(tuple(own))
-        return tuple(found)
+                nouns.append(Described(landmark, masks, np.flatnonzero(masks.sure), np.flatnonzero(masks.possible)))
+            landmarks.append(tuple(nouns))
+        return tuple(landmarks)
 
     @cached_property
     def centre(self) -> Floats:
@@ -111,8 +111,8 @@ class SceneFacts:
     @cached_property
     def close(self) -> Masks:
         """(N, N) pairs that are close enough for left, right, in front and behind."""
-        found = below(self.gap, limit.DIRECTION_GAP_M).both(self._rooms)
-        return Masks(found.sure & self._is_level, found.possible & self._is_level)
+        close = below(self.gap, limit.DIRECTION_GAP_M).both(self._rooms)
+        return Masks(close.sure & self._is_level, close.possible & self._is_level)
 
     @cached_property
     def distinct(self) -> Bools:
@@ -122,9 +122,9 @@ class SceneFacts:
     @cached_property
     def next_to(self) -> Masks:
         """(N, N) [landmark, object]: objects next to a landmark, neither on nor under it."""
-        found = below(self.gap, limit.NEXT_TO_M).both(self._rooms)
-        sure = found.sure & self.distinct & ~self.stacked & self._is_level & ~self.graph.walled
-        return Masks(sure, found.possible & self.distinct)
+        adjacent = below(self.gap, limit.NEXT_TO_M).both(self._rooms)
+        sure = adjacent.sure & self.distinct & ~self.stacked & self._is_level & ~self.graph.walled
+        return Masks(sure, adjacent.possible & self.distinct)
 
     @cached_property
     def _is_level(self) -> Bools:
@@ -163,8 +163,8 @@ class SceneFacts:
     @cached_property
     def stacked(self) -> Bools:
         """(N, N) pairs of which one object may be on or under the other."""
-        found = self.support[Relation.ON].possible | self.support[Relation.UNDER].possible
-        return np.asarray(found | found.T)
+        is_stacked = self.support[Relation.ON].possible | self.support[Relation.UNDER].possible
+        return np.asarray(is_stacked | is_stacked.T)
 
     @cached_property
     def alone(self) -> dict[Relation, Masks]:
@@ -212,7 +212,7 @@ class SceneFacts:
     @cached_property
     def _beside(self) -> Masks:
         """(N, N) [object, thing]: things close to an object, and clearly farther from every other object with a top."""
-        found = below(self.gap, limit.BESIDE_M).both(self._rooms)
+        beside = below(self.gap, limit.BESIDE_M).both(self._rooms)
         surfaces = np.array([self.graph.kinds.of(each.kind).surface for each in self.graph.objects], bool)
         others = np.where(surfaces[:, None] & self.distinct, self.gap, np.inf)  # (N, N) [other object, thing]
         nearest = np.sort(others, axis=0)[:2] if len(others) > 1 else np.full((2, len(others)), np.inf)
@@ -221,15 +221,15 @@ class SceneFacts:
         clear = second >= self.gap + limit.BESIDE_OTHER_M
         level = self._is_level & self.distinct & ~self.support[Relation.ON].possible
         apart = self.distinct & ~self.support[Relation.ON].sure
-        return Masks(found.sure & clear & level, found.possible & apart)
+        return Masks(beside.sure & clear & level, beside.possible & apart)
 
     def in_room(self, room: int, area: int | None = None) -> Masks:
         """Returns the objects in a room; if a part of the room is given, objects in other parts are only `possible`."""
-        found = self.graph.room_of
-        sure = found == room
+        labels = self.graph.room_of
+        sure = labels == room
         if area is not None:
             sure = sure & (self.graph.area_of == area) & (area > 0)
-        return Masks(sure, (found == room) | (found == 0))
+        return Masks(sure, (labels == room) | (labels == 0))
 
     def in_typed_room(self, room: int) -> Masks:
         """Returns the objects in a room; those in parts that do not show the room's type are only `possible`."""
@@ -257,12 +257,12 @@ class SceneFacts:
         offset = self.centre - start
         along = offset @ way / length**2
         across = np.abs(offset[:, 0] * way[1] - offset[:, 1] * way[0]) / length**2
-        found = above(np.minimum(along, 1 - along), limit.BETWEEN_ALONG).both(below(across, limit.BETWEEN_ACROSS))
+        between = above(np.minimum(along, 1 - along), limit.BETWEEN_ALONG).both(below(across, limit.BETWEEN_ACROSS))
         rooms = Masks(self._rooms.sure[first] & self._rooms.sure[second], self._rooms.possible[first])
         apart = self.distinct[first] & self.distinct[second]
         near = length <= limit.BETWEEN_SPAN_M.good and not self.graph.walled[first, second]
-        found = found.both(rooms)
-        return Masks(found.sure & apart & near, found.possible & apart)
+        between = between.both(rooms)
+        return Masks(between.sure & apart & near, between.possible & apart)
 
 
 def _is_occupied(top: SurfaceTop, each: SceneObject) -> bool:

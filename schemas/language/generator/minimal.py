@@ -39,17 +39,17 @@ def minimal_candidates(search: Search, rng: np.random.Generator) -> list[Express
     """
     parts = search.parts()
     parts = [parts[number] for number in rng.permutation(len(parts))[:_MOST_PARTS].tolist()]
-    own = 1 << search.number
-    found: list[ExpressionCandidate] = []
+    own_bit = 1 << search.number
+    candidates: list[ExpressionCandidate] = []
     for head in search.heads():
         if head.masks.sure[search.number]:
             bare = -1 if head.is_bare else bits_of(search.facts.described(head.kind, None).possible)
-            found += _with_head(search, head, parts, own, bare)
-    return found
+            candidates += _with_head(search, head, parts=parts, target_bit=own_bit, bare=bare)
+    return candidates
 
 
 def _with_head(
-    search: Search, head: ExpressionHead, parts: list[ExpressionPart], own: int, bare: int
+    search: Search, head: ExpressionHead, parts: list[ExpressionPart], target_bit: int, bare: int
 ) -> Iterator[ExpressionCandidate]:
     """Yields the minimal expressions with a given head: a kind, perhaps with a colour or a material.
 
@@ -57,12 +57,12 @@ def _with_head(
         search: parts of expressions for the target.
         head: kind, perhaps with colour or material.
         parts: relations that surely hold for the target.
-        own: the target, as bits of an integer (see `bits_of`).
+        target_bit: the target, as bits of an integer (see `bits_of`).
         bare: objects that the kind alone fits, as bits; -1 for a head without colour and material.
     """
     base = bits_of(head.masks.possible)
-    if base == own:
-        if bare != own:
+    if base == target_bit:
+        if bare != target_bit:
             yield ExpressionCandidate(head)
         return
     plain = head._replace(colour=None, material=None, masks=search.facts.described(head.kind, None))
@@ -70,15 +70,15 @@ def _with_head(
     yield from (one for one in search.selectors(head) if one.selector not in without and _is_readable(one))
     useful = []
     for part in parts:
-        if bare >= 0 and bare & part.bits == own:
+        if bare >= 0 and bare & part.bits == target_bit:
             continue  # the relation selects the target without the colour or material
-        if base & part.bits == own:
+        if base & part.bits == target_bit:
             yield ExpressionCandidate(head, (part,))
         elif base & part.bits != base:
             useful.append(part)
     for one, two in combinations(useful, 2):
         both = one.bits & two.bits
-        if base & both == own and not (bare >= 0 and bare & both == own):
+        if base & both == target_bit and not (bare >= 0 and bare & both == target_bit):
             yield ExpressionCandidate(head, (one, two))
     if bare < 0:
         for part in useful[:_MOST_SELECTED]:
@@ -109,27 +109,27 @@ def _is_readable(one: ExpressionCandidate) -> bool:
 def indefinite_candidates(search: Search) -> list[ExpressionCandidate]:
     """Returns candidates for expressions with "a" that fit the target and other objects, without borderline cases."""
     parts = search.parts()
-    found = []
+    candidates = []
     for head in search.heads():
         for chosen in ((), *((part,) for part in parts)):
             masks = head.masks.both(chosen[0].masks) if chosen else head.masks
             if masks.sure[search.number] and masks.sure.sum() > 1 and (masks.sure == masks.possible).all():
-                found.append(ExpressionCandidate(head, chosen))
-    return found
+                candidates.append(ExpressionCandidate(head, chosen))
+    return candidates
 
 
 def redundant_expressions(search: Search, expression: Expression) -> list[Expression]:
     """Returns variants of an expression with one more part that surely holds for the target, such as its colour."""
-    found: list[Expression] = []
+    expressions: list[Expression] = []
     if expression.selectors:
-        return found  # another part would change the set from which a superlative or an ordinal selects
+        return expressions  # another part would change the set from which a superlative or an ordinal selects
     for head in search.heads():
         looks = {name: value for name in ("colour", "material") if (value := getattr(head, name)) is not None}
         if head.kind == expression.kind and looks and all(getattr(expression, name) is None for name in looks):
-            found.append(expression.model_copy(update=looks))
+            expressions.append(expression.model_copy(update=looks))
     if len(expression.clauses) < 2:
         named = {clause.relation for clause in expression.clauses}
         for part in search.parts():
             if part.clause.relation not in named:
-                found.append(expression.model_copy(update={"clauses": (part.clause, *expression.clauses)}))
-    return found
+                expressions.append(expression.model_copy(update={"clauses": (part.clause, *expression.clauses)}))
+    return expressions

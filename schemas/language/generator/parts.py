@@ -118,9 +118,9 @@ class _StaticParts:
         for relation, masks in {Relation.NEXT_TO: facts.next_to, **facts.support}.items():
             near = np.flatnonzero(masks.sure[:, self._number]).tolist()
             for each in self.descriptions(near):
-                found = masks.of_any(each)
-                if found.sure[self._number]:
-                    yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), found)
+                members = masks.of_any(each)
+                if members.sure[self._number]:
+                    yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), members)
         yield from self._between()
 
     def _rooms(self) -> Iterator[ExpressionPart]:
@@ -152,13 +152,13 @@ class _StaticParts:
                         yield part_of(Clause(relation=relation, landmarks=(landmark,), count=count), masks)
 
     def descriptions(self, numbers: Collection[int]) -> list[Described]:
-        graph, own = self._facts.graph, self._facts.graph.objects[self._number].kind
-        found: dict[Landmark, Described] = {}
+        graph, own_kind = self._facts.graph, self._facts.graph.objects[self._number].kind
+        descriptions: dict[Landmark, Described] = {}
         for number in numbers:
             kind = graph.objects[number].kind
-            if kind != own and self._words.names(kind):
-                found |= {each.landmark: each for each in self._facts.landmarks[number][: self._most]}
-        return list(found.values())
+            if kind != own_kind and self._words.names(kind):
+                descriptions |= {each.landmark: each for each in self._facts.landmarks[number][: self._most]}
+        return list(descriptions.values())
 
     def _between(self) -> Iterator[ExpressionPart]:
         facts, room = self._facts, self._facts.graph.objects[self._number].room
@@ -181,12 +181,12 @@ class _StaticParts:
             (self._facts.volume, limit.VOLUME_RATIO, Size.LARGEST, Size.SMALLEST),
             (self._facts.height, limit.HEIGHT_RATIO, Size.TALLEST, Size.LOWEST),
         ):
-            own, rest = values[self._number], values[others]
+            own_size, rest = values[self._number], values[others]
             if most is Size.TALLEST and not self._facts.has_same_base[self._number, others].all():
                 continue
-            if own >= ratio * rest.max():
+            if own_size >= ratio * rest.max():
                 yield most
-            if own * ratio <= rest.min():
+            if own_size * ratio <= rest.min():
                 yield least
 
     def _nearest(self, others: Sequence[int]) -> Iterator[Clause]:
@@ -211,7 +211,7 @@ class _StaticParts:
 
 def is_least(values: Floats, number: int, others: Sequence[int]) -> bool:
     """Returns whether an object clearly has the smallest value; with negated values, the largest."""
-    own, rest = float(values[number]), float(values[others].min())
-    if own >= 0:
-        return rest >= max(own * limit.DISTANCE_RATIO, own + limit.DISTANCE_GAP_M)
-    return -own >= max(-rest * limit.DISTANCE_RATIO, -rest + limit.DISTANCE_GAP_M)
+    own_size, rest = float(values[number]), float(values[others].min())
+    if own_size >= 0:
+        return rest >= max(own_size * limit.DISTANCE_RATIO, own_size + limit.DISTANCE_GAP_M)
+    return -own_size >= max(-rest * limit.DISTANCE_RATIO, -rest + limit.DISTANCE_GAP_M)

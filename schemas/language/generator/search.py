@@ -75,8 +75,8 @@ class ExpressionCandidate(NamedTuple):
             Family.NEAREST: self.superlative,
             Family.SUPERCLASS: None if self.head.kind == kind else kind,
         }
-        found = {family for family, value in named.items() if value is not None}
-        return frozenset(found | {FAMILY[part.clause.relation] for part in self.parts})
+        families = {family for family, value in named.items() if value is not None}
+        return frozenset(families | {FAMILY[part.clause.relation] for part in self.parts})
 
     def expression(self, definite: bool = True) -> Expression:
         clauses = tuple(part.clause for part in self.parts)
@@ -139,7 +139,9 @@ class Search:
         if Family.MATERIAL in self.families and each.materials[:1] and each.materials[0] in self.words.materials:
             looks.append((None, each.materials[0]))
         return [
-            ExpressionHead(kind, colour, self.facts.described(kind, colour, material), is_super, material)
+            ExpressionHead(
+                kind, colour, masks=self.facts.described(kind, colour, material), is_super=is_super, material=material
+            )
             for kind, is_super in kinds
             if self.words.names(kind)
             for colour, material in looks
@@ -178,9 +180,9 @@ class Search:
         for relation, masks in self.view.relative.items():
             near = np.flatnonzero(masks.sure[:, self.number]).tolist()
             for each in self.scene.descriptions(self.number, self.words, self._has_colours, near):
-                found = masks.of_any(each)
-                if found.sure[self.number]:
-                    yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), found)
+                members = masks.of_any(each)
+                if members.sure[self.number]:
+                    yield part_of(Clause(relation=relation, landmarks=(each.landmark,)), members)
 
     def selectors(self, head: ExpressionHead, parts: tuple[ExpressionPart, ...] = ()) -> list[ExpressionCandidate]:
         """Returns the expressions in which a superlative or an ordinal selects the target among the objects that the
@@ -203,15 +205,15 @@ class Search:
         others = np.flatnonzero(among.possible)
         others = others[others != self.number]
         is_kept = all(part.clause.relation not in OF_START for part in base.parts)
-        found = self.scene.superlatives(
+        selectors = self.scene.superlatives(
             self.number, self.words, self._has_colours, key if is_kept else None, others.tolist()
         )
         if Family.SIZE in self.families:
-            yield from (base._replace(size=size) for size in found.sizes)
+            yield from (base._replace(size=size) for size in selectors.sizes)
         if Family.NEAREST in self.families:
             if self._is_nearest(others.tolist()):
                 yield base._replace(superlative=_NEAREST_YOU)
-            yield from (base._replace(superlative=clause) for clause in found.nearest)
+            yield from (base._replace(superlative=clause) for clause in selectors.nearest)
         if Family.ORDINAL in self.families and self.view is not None:
             yield from (base._replace(ordinal=ordinal) for ordinal in self._ordinals(among))
 

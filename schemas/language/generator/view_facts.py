@@ -71,10 +71,10 @@ class ViewFacts:
         hangs = self.scene.graph.hangs
         level = self.scene.has_same_base[rows] & ~(hangs | hangs[rows, None])
         aligned = Masks(aligned.sure & level, aligned.possible)
-        found = {}
+        relative = {}
         low, high = self._depths(axis)
-        own = np.arange(len(rows)), rows
-        is_beyond, is_nearer = low >= high[own][:, None], high <= low[own][:, None]
+        own_rows = np.arange(len(rows)), rows
+        is_beyond, is_nearer = low >= high[own_rows][:, None], high <= low[own_rows][:, None]
         for name, along, across, shown, (good_tan, bad_tan) in (
             (Relation.LEFT_OF, side, depth, anywhere, _ASIDE_TAN),
             (Relation.RIGHT_OF, -side, depth, anywhere, _ASIDE_TAN),
@@ -84,8 +84,8 @@ class ViewFacts:
             good, bad = np.zeros((count, count), bool), np.zeros((count, count), bool)
             good[rows] = sure & shown.sure & (np.abs(across) <= along * good_tan)
             bad[rows] = possible & shown.possible & (np.abs(across) < along * bad_tan)
-            found[name] = Masks(good, bad)
-        return found
+            relative[name] = Masks(good, bad)
+        return relative
 
     def _depths(self, axis: Floats) -> tuple[Floats, Floats]:
         """Returns (K, N) smallest and largest distances from the start to each bounding rectangle, measured along each
@@ -114,13 +114,13 @@ class ViewFacts:
         room = graph.room_of
         here = Masks((room == view.room) & (room > 0), (room == view.room) | (room == 0) | (view.room == 0))
         here = here.both(above(middle, limit.ROW_AHEAD_M))
-        found = {}
+        ways = {}
         for side, sign in AHEAD_SIDES.items():
             near, far = (sign * left).min(axis=1), (sign * left).max(axis=1)
             aside = Masks(near >= limit.ROW_ASIDE_M.good, far > limit.ROW_ASIDE_M.bad)
             masks = here.both(aside).both(below(near, limit.ROW_GAP_M))
-            found[side] = _Wayside(masks, middle, along.min(axis=1), along.max(axis=1), near)
-        return found
+            ways[side] = _Wayside(masks, middle, low=along.min(axis=1), high=along.max(axis=1), near=near)
+        return ways
 
     def row(self, among: Masks, side: ViewSide, number: int) -> list[int]:
         """Returns the objects along one side of the way ahead, in order, up to the first whose place is not certain.
@@ -133,16 +133,16 @@ class ViewFacts:
         way = self._ways[side]
         if not (way.masks.sure[number] and self.view.shown[number]):
             return []
-        found = among.both(way.masks)
-        numbers = np.flatnonzero(found.possible)
-        is_hidden = way.hidden(numbers, found.sure[numbers]) & ~self.view.shown[numbers]
+        nearer = among.both(way.masks)
+        numbers = np.flatnonzero(nearer.possible)
+        is_hidden = way.hidden(numbers, nearer.sure[numbers]) & ~self.view.shown[numbers]
         numbers = numbers[~is_hidden]
         order = numbers[np.argsort(way.middle[numbers], kind="stable")].tolist()
         certain: list[int] = []
         for place, each in enumerate(order):
             nearby = order[max(place - 1, 0) : place] + order[place + 1 : place + 2]
             is_apart = all(abs(way.middle[each] - way.middle[other]) >= limit.ROW_STEP_M for other in nearby)
-            if not (found.sure[each] and self.view.shown[each] and is_apart):
+            if not (nearer.sure[each] and self.view.shown[each] and is_apart):
                 break
             certain.append(each)
         return certain
@@ -150,12 +150,12 @@ class ViewFacts:
     @cached_property
     def ego(self) -> dict[Relation, Masks]:
         """(N,) objects on the left, on the right and straight ahead."""
-        view, found = self.view, {}
+        view, egocentric = self.view, {}
         room = self.scene.graph.room_of
         here = view.possible | (room == view.room) | (room == 0)
         beyond = below(np.abs(view.bearing), limit.EGO_BEHIND_RAD)
         for name, sign in ((Relation.YOUR_LEFT, 1.0), (Relation.YOUR_RIGHT, -1.0)):
             aside = above(sign * view.bearing, limit.EGO_RAD).both(beyond)
-            found[name] = aside.both(Masks(view.sure, here))
-        found[Relation.AHEAD] = below(np.abs(view.bearing), limit.AHEAD_RAD).both(Masks(view.sure, here))
-        return found
+            egocentric[name] = aside.both(Masks(view.sure, here))
+        egocentric[Relation.AHEAD] = below(np.abs(view.bearing), limit.AHEAD_RAD).both(Masks(view.sure, here))
+        return egocentric

@@ -53,21 +53,34 @@ def find_objects(scene: CompiledScene, table: Kinds) -> list[RawObject]:
     boxes = _boxes(scene)
     targets = {target.instance_id: target for target in scene.info.targets}
     parts: dict[tuple[str, tuple[str, ...], str], list[int]] = defaultdict(list)
-    found = []
+    objects = []
     for instance in scene.info.instances:
         target = targets.get(instance.id)
         if target is not None:
             centre, half = np.array(target.centroid_m), np.array(target.size_m) / 2
             low, high = centre - half, centre + half
             outline = np.array(target.footprint_m) if target.footprint_m else _rectangle(low, high)
-            found.append(
-                _of_category(table, instance, target.category, low, high, outline, target.colour, target.target_id)
+            objects.append(
+                _of_category(
+                    table,
+                    instance,
+                    category=target.category,
+                    low=low,
+                    high=high,
+                    outline=outline,
+                    colour=target.colour,
+                    target_id=target.target_id,
+                )
             )
         elif instance.id not in boxes:
             continue
         elif instance.category is not None:
             low, high = boxes[instance.id]
-            found.append(_of_category(table, instance, instance.category, low, high, _rectangle(low, high)))
+            objects.append(
+                _of_category(
+                    table, instance, category=instance.category, low=low, high=high, outline=_rectangle(low, high)
+                )
+            )
         else:
             key = _landmark_key(table, instance.prim_path.split("/"))
             if key is not None:
@@ -75,8 +88,8 @@ def find_objects(scene: CompiledScene, table: Kinds) -> list[RawObject]:
     for (kind, shows, _), ids in parts.items():
         low = np.min([boxes[number][0] for number in ids], axis=0)
         high = np.max([boxes[number][1] for number in ids], axis=0)
-        found.append(RawObject(tuple(ids), kind, low, high, _rectangle(low, high), shows=shows))
-    return found
+        objects.append(RawObject(tuple(ids), kind, low=low, high=high, outline=_rectangle(low, high), shows=shows))
+    return objects
 
 
 def _of_category(
@@ -123,12 +136,12 @@ def _boxes(scene: CompiledScene) -> dict[int, tuple[Floats, Floats]]:
     first = scene.part_first[order]
     lows: NDArray[np.float32] = np.minimum.reduceat(scene.positions, first, axis=0)
     highs: NDArray[np.float32] = np.maximum.reduceat(scene.positions, first, axis=0)
-    found: dict[int, tuple[Floats, Floats]] = {}
+    boxes: dict[int, tuple[Floats, Floats]] = {}
     for number, low, high in zip(scene.part_instance[order].tolist(), lows, highs, strict=True):
-        if number in found:
-            low, high = np.minimum(found[number][0], low), np.maximum(found[number][1], high)
-        found[number] = (low.astype(float), high.astype(float))
-    return found
+        if number in boxes:
+            low, high = np.minimum(boxes[number][0], low), np.maximum(boxes[number][1], high)
+        boxes[number] = (low.astype(float), high.astype(float))
+    return boxes
 
 
 def _rectangle(low: Floats, high: Floats) -> Floats:

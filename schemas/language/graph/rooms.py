@@ -176,8 +176,8 @@ def nearest_room(rooms: CellGrid, points: Floats, within_m: float = 0.6) -> Ints
     labels = np.asarray(rooms.values, np.int64)
     distance, nearest = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
     row, column = rooms.cells(points)
-    found = labels[tuple(axis[row, column] for axis in nearest)]
-    return np.where(distance[row, column] * rooms.resolution_m <= within_m, found, 0)
+    nearest_rooms = labels[tuple(axis[row, column] for axis in nearest)]
+    return np.where(distance[row, column] * rooms.resolution_m <= within_m, nearest_rooms, 0)
 
 
 def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple[Floats, Floats]:
@@ -196,12 +196,12 @@ def wall_gaps(walls: CellGrid, centres: Floats, outlines: list[Floats]) -> tuple
     reach = np.array(
         [((outline - centre) @ ways.T).max(axis=0) for centre, outline in zip(centres, outlines, strict=True)]
     ).reshape(-1, _DIRECTIONS)
-    own = _gaps(walls, centres, ways, reach)
-    ahead = _gaps(walls, _in_front(walls, centres, ways, reach, own), ways, reach)
+    wall_gap = _gaps(walls, centres, ways, reach)
+    ahead = _gaps(walls, _in_front(walls, centres, ways=ways, reach=reach, gaps=wall_gap), ways, reach)
     # the normal of the wall is the direction in which the centre is nearest to it; a corner of the outline may be
     # nearest to a wall in a different direction
-    rows, normal, quarter = np.arange(len(own)), (ahead + reach).argmin(axis=1), _DIRECTIONS // 4
-    gap = own[rows, (own + reach).argmin(axis=1)]
+    rows, normal, quarter = np.arange(len(wall_gap)), (ahead + reach).argmin(axis=1), _DIRECTIONS // 4
+    gap = wall_gap[rows, (wall_gap + reach).argmin(axis=1)]
     sides = np.minimum(ahead[rows, (normal + quarter) % _DIRECTIONS], ahead[rows, normal - quarter])
     return np.asarray(gap), np.asarray(np.maximum(sides, gap))
 
@@ -218,17 +218,17 @@ def _gaps(walls: CellGrid, points: Floats, ways: Floats, reach: Floats) -> Float
     return gaps
 
 
-def _in_front(walls: CellGrid, points: Floats, ways: Floats, reach: Floats, own: Floats) -> Floats:
+def _in_front(walls: CellGrid, points: Floats, ways: Floats, reach: Floats, gaps: Floats) -> Floats:
     """Returns the (N, 2) points; the points of flat objects at a wall are moved to `_FRONT_M` in front of the wall."""
     rows, thin = np.arange(len(points)), reach.argmin(axis=1)
-    is_at_wall = (reach[rows, thin] < _FLAT_M / 2) & (own.min(axis=1) <= _AT_WALL_M)
+    is_at_wall = (reach[rows, thin] < _FLAT_M / 2) & (gaps.min(axis=1) <= _AT_WALL_M)
     steps = np.arange(0.0, _FRONT_M, walls.resolution_m / 2)
     sides = [(thin + turn) % _DIRECTIONS for turn in (0, _DIRECTIONS // 2)]
     depth = []
     for side in sides:  # distance from the point to the edge of the wall
         free = ~walls.at(points[:, None, :] + steps[:, None] * ways[side][:, None, :]).astype(bool)
         depth.append(np.where(free.any(axis=1), steps[free.argmax(axis=1)], _FAR_M))
-    is_first = (depth[0] < depth[1]) | ((depth[0] == depth[1]) & (own[rows, sides[0]] >= own[rows, sides[1]]))
+    is_first = (depth[0] < depth[1]) | ((depth[0] == depth[1]) & (gaps[rows, sides[0]] >= gaps[rows, sides[1]]))
     side = np.where(is_first, *sides)
     length = np.where(is_first, *depth)
     is_moved = is_at_wall & (length < _FAR_M)

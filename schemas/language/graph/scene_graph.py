@@ -45,7 +45,7 @@ def find_barriers(low: Floats, high: Floats, sight: CellGrid) -> Bools:
         high: (N, 2) upper corners, metres.
         sight: grid with the value 2 in the cells of walls.
     """
-    middle, found = (low + high) / 2, np.zeros((len(low), len(low)), bool)
+    middle, has_barrier = (low + high) / 2, np.zeros((len(low), len(low)), bool)
     one, two = np.triu_indices(len(low), 1)
     near = np.hypot(*(middle[one] - middle[two]).T) < _FAR_M
     one, two = one[near], two[near]
@@ -57,8 +57,8 @@ def find_barriers(low: Floats, high: Floats, sight: CellGrid) -> Bools:
         for end in (a, b):
             inside = (points > low[end, None] - _END_M) & (points < high[end, None] + _END_M)
             wall &= ~inside.all(axis=-1)
-        found[a, b] = found[b, a] = wall.any(axis=1)
-    return found
+        has_barrier[a, b] = has_barrier[b, a] = wall.any(axis=1)
+    return has_barrier
 
 
 _FLAT_M, _FLAT_SHARE, _UPRIGHT = 0.02, 0.6, 0.98
@@ -96,23 +96,23 @@ def find_tops(scene: CompiledScene, objects: Mapping[int, tuple[Sequence[int], F
     order = np.argsort(scene.part_first, kind="stable")
     owner = np.repeat(scene.part_instance[order].astype(np.int64), scene.part_count[order] // 3)
     low, high = faces.min(axis=1), faces.max(axis=1)
-    found = {number: _top_of(faces, low, high, owner, *own) for number, own in objects.items()}
-    return {number: top for number, top in found.items() if top is not None}
+    tops = {number: _top_of(faces, low, high, owner, *ids) for number, ids in objects.items()}
+    return {number: top for number, top in tops.items() if top is not None}
 
 
 def _top_of(
     faces: Floats, low: Floats, high: Floats, owner: Ints, ids: Sequence[int], outline: Floats
 ) -> SurfaceTop | None:
-    own = np.isin(owner, ids)
-    if not own.any():
+    is_own = np.isin(owner, ids)
+    if not is_own.any():
         return None
-    floor, top = low[own].min(axis=0), high[own].max(axis=0)
+    floor, top = low[is_own].min(axis=0), high[is_own].max(axis=0)
     ahead = np.roll(outline, -1, axis=0)
     area = float(outline[:, 0] @ ahead[:, 1] - ahead[:, 0] @ outline[:, 1]) / 2
-    if not _is_flat_top(faces[own], float(top[2]), area):
+    if not _is_flat_top(faces[is_own], float(top[2]), area):
         return None
     inside = (low[:, :2] < top[:2] - _EDGE_M).all(axis=1) & (high[:, :2] > floor[:2] + _EDGE_M).all(axis=1)
-    inside &= (low[:, 2] < top[2] + _ABOVE_M) & (high[:, 2] > top[2] + _FLAT_M) & ~own
+    inside &= (low[:, 2] < top[2] + _ABOVE_M) & (high[:, 2] > top[2] + _FLAT_M) & ~is_own
     boxes = [_box(low, high, owner == number) for number in np.unique(owner[inside]).tolist()]
     return SurfaceTop(float(top[2]), tuple(boxes))
 
@@ -258,8 +258,8 @@ class SceneGraph:
 
     def unique_room(self, kind: str) -> int:
         """Returns the only room of a type; 0 if there is none or several."""
-        found = [room.label for room, own in zip(self.rooms, self.types, strict=True) if own == kind]
-        return found[0] if len(found) == 1 else 0
+        labels = [room.label for room, room_type in zip(self.rooms, self.types, strict=True) if room_type == kind]
+        return labels[0] if len(labels) == 1 else 0
 
 
 def build_graph(scene: CompiledScene) -> SceneGraph:
@@ -303,7 +303,16 @@ def build_graph(scene: CompiledScene) -> SceneGraph:
     sight_grid = occupancy._replace(values=sight)
     inner = np.where(opening_gaps(walls, WIDE_M) < THRESHOLD_M, 0, area_grid.values)
     inner_grid = area_grid._replace(values=inner)
-    return SceneGraph(objects, rooms, types, room_grid, inner_grid, sight_grid, info.floor_height_m, table)
+    return SceneGraph(
+        objects,
+        rooms,
+        types=types,
+        room_grid=room_grid,
+        area_grid=inner_grid,
+        sight_grid=sight_grid,
+        floor_m=info.floor_height_m,
+        kinds=table,
+    )
 
 
 def _room_of_leaf(each: RawObject, walls: CellGrid, room_grid: CellGrid) -> int:

@@ -87,7 +87,7 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
     sure, shown, possible = np.zeros(len(points), bool), np.zeros(len(points), bool), far & maybe.any(axis=1)
     near = np.flatnonzero(maybe.any(axis=1) & ~far)
     if len(near):
-        blocked = _blocked(graph, eye, offset[near], low[near] - _BEFORE_M, high[near] + _BEFORE_M)
+        blocked = _blocked(graph, eye, ways=offset[near], low=low[near] - _BEFORE_M, high=high[near] + _BEFORE_M)
         clear = (blocked == 0) & inside[near]
         share = np.where(distance[near, 0] <= VISIBLE_M, clear.mean(axis=1), 0.0)
         shown[near] = share >= SHOWN

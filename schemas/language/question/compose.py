@@ -89,7 +89,7 @@ class QuestionComposer:
         """
         verifier = QuestionVerifier(place, episode.poses, episode.number)
         # answers come from the scene graph and the poses, because recordings of states have no images
-        search, found = _Answers(place, episode, self._composer, rng), []
+        search, questions = _Answers(place, episode, self._composer, rng), []
         for kind in QuestionKind:
             if kind in (QuestionKind.WHERE, QuestionKind.NEXT) and episode.is_false_premise:
                 continue
@@ -102,10 +102,10 @@ class QuestionComposer:
                     continue
                 fault = verifier.check(one, self._spoken[code].reader, episode.images)
                 if not fault:
-                    found.append(one)
+                    questions.append(one)
                     break
                 self.rejected[f"{kind}: {fault}"] += 1
-        return found
+        return questions
 
 
 class _Answers:
@@ -128,17 +128,17 @@ class _Answers:
         distance = ViewFacts(self._facts, view).distance
         match kind:
             case QuestionKind.VISIBLE:
-                found = self._visible(view, distance, language)
+                answer = self._visible(view, distance, language)
             case QuestionKind.OBJECT:
-                found = self._object(view, language)
+                answer = self._object(view, language)
             case _:
-                found = self._where(view, distance)
-        return None if found is None else (found, (t, t + 1))
+                answer = self._where(view, distance)
+        return None if answer is None else (answer, (t, t + 1))
 
     def _movement(self) -> _Answer | None:
-        found = movements(self._place, self._path, self._episode.number)
-        others = [each for each in found if each[0].answer is not AnswerKind.STOP]
-        options = others if others and self._rng.random() < _MOVING_SHARE else found
+        candidates = movements(self._place, self._path, self._episode.number)
+        others = [each for each in candidates if each[0].answer is not AnswerKind.STOP]
+        options = others if others and self._rng.random() < _MOVING_SHARE else candidates
         return options[int(self._rng.integers(len(options)))] if options else None
 
     def _named(self, number: int) -> Expression:
@@ -226,11 +226,15 @@ class _Answers:
         scene, number = self._scene, self._episode.number
         text, answer, reason = None, AnswerKind.NO, ReasonKind.NONE_FITS
         if draw < 0.4:
-            said = [each.meant for each in self._episode.goals if each.fits == 1 and each.language == language.code]
-            text = said[0] if said else None
+            instructions = [
+                each.meant for each in self._episode.goals if each.fits == 1 and each.language == language.code
+            ]
+            text = instructions[0] if instructions else None
             answer, reason = AnswerKind.YES, ReasonKind.ONE_FITS
         elif draw < 0.7:
-            wrong = self._composer.write_false_premise(scene, view, number, held_out, self._rng, language.code)
+            wrong = self._composer.write_false_premise(
+                scene, view, number=number, held_out=held_out, rng=self._rng, code=language.code
+            )
             text = None if wrong is None else wrong.text
         else:
             text, reason = self._several(number, language, held_out), ReasonKind.SEVERAL_FIT

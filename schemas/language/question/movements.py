@@ -32,12 +32,14 @@ def movements(place: SceneRoutes, path: DrivenPath, number: int) -> list[tuple[Q
         path: driven path.
         number: number of the target in the scene graph.
     """
-    found = []
+    found_movements = []
     for answer, start, end in _movements(place, path):
-        reason = _reason(place, path, number, answer, start, end)
+        reason = _reason(place, path, number=number, answer=answer, start=start, end=end)
         if reason is not None and end > start:
-            found.append((QuestionMeaning(kind=QuestionKind.NEXT, answer=answer, reason=reason), (start, end)))
-    return found
+            found_movements.append(
+                (QuestionMeaning(kind=QuestionKind.NEXT, answer=answer, reason=reason), (start, end))
+            )
+    return found_movements
 
 
 def _movements(place: SceneRoutes, path: DrivenPath) -> Iterator[tuple[AnswerKind, int, int]]:

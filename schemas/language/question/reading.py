@@ -40,8 +40,8 @@ class QuestionReader:
     def __init__(self, code: str, language: Reader) -> None:
         words = question_words(code)
         self._words, self._language = words, language
-        asked = {kind: (*own.seen, *own.held_out) for kind, own in words.questions.items()}
-        self._questions = self._compiled(asked, words.asked_sides)
+        patterns = {kind: (*group.seen, *group.held_out) for kind, group in words.questions.items()}
+        self._questions = self._compiled(patterns, words.asked_sides)
         self._answers = self._compiled(words.answers, words.sides)
         self._reasons = self._compiled(words.reasons, words.sides)
         self._sides = {
@@ -52,10 +52,13 @@ class QuestionReader:
 
     def read(self, question: str, answer: str, reason: str | None) -> list[QuestionMeaning]:
         """Returns all readings; empty if a text matches no pattern of the language."""
-        asked, replied = list(self._parts(self._questions, question)), list(self._parts(self._answers, answer))
+        question_readings, replied = (
+            list(self._parts(self._questions, question)),
+            list(self._parts(self._answers, answer)),
+        )
         given = [("", {})] if reason is None else list(self._parts(self._reasons, reason))
-        found: list[QuestionMeaning] = []
-        for (kind, one), (reply, two), (why, three) in itertools.product(asked, replied, given):
+        readings: list[QuestionMeaning] = []
+        for (kind, one), (reply, two), (why, three) in itertools.product(question_readings, replied, given):
             if (one.keys() & two.keys()) | (one.keys() & three.keys()) | (two.keys() & three.keys()):
                 continue
             try:
@@ -67,9 +70,9 @@ class QuestionReader:
                 )
             except ValidationError:
                 continue
-            if meaning not in found:
-                found.append(meaning)
-        return found
+            if meaning not in readings:
+                readings.append(meaning)
+        return readings
 
     def _parts(self, patterns: Iterable[_Pattern], sentence: str) -> Iterator[tuple[str, dict[str, object]]]:
         """Yields the name of each pattern that a sentence matches, with the meaning of its slots."""

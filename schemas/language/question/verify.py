@@ -81,7 +81,7 @@ def image_fault(
         if meaning.reason in (ReasonKind.NONE_EXISTS, ReasonKind.NOT_IN_VIEW) or meaning.answer is AnswerKind.UNSEEN:
             return "the image shows such an object" if np.isin(ids, parts).sum() > _HIDDEN_PX else ""
         return ""
-    seen = see_objects(ids, images.depth(t), parts, camera, _CLEAR_PX)
+    seen = see_objects(ids, images.depth(t), objects=parts, camera=camera, min_pixels=_CLEAR_PX)
     if not any(_is_at(each, meaning) for each in seen):
         return "the image shows no such object at this side and distance" if seen else "the image shows no such object"
     return ""
@@ -130,19 +130,19 @@ class QuestionVerifier:
         self._expressions, self._camera = place.scene.verifier, place.camera
         self._replay = PoseReplay(self._graph, poses, place.camera)
 
-    def check(self, asked: Question, language: Reader, images: FrameImages | None = None) -> str:
+    def check(self, question: Question, language: Reader, images: FrameImages | None = None) -> str:
         """Returns why the answer or the reason is wrong; empty if every reading of the texts is right.
 
         Args:
-            asked: question, answer, reason and frames; the recorded meaning is not used.
+            question: question, answer, reason and frames; the recorded meaning is not used.
             language: reader of referring expressions of its language.
             images: recorded instance ids and depth; `None` if the episode has none.
         """
-        start, end = asked.start, asked.end
+        start, end = question.start, question.end
         if not 0 <= start < end <= len(self._replay):
             return "the frames do not exist"
-        reader = question_reader(asked.language, language)
-        readings = reader.read(asked.question, asked.answer, asked.reason)
+        reader = question_reader(question.language, language)
+        readings = reader.read(question.question, question.answer, question.reason)
         if not readings:
             return "the texts do not match the patterns of the language"
         return next(filter(None, (self._fault(each, start, end, language, images) for each in readings)), "")
@@ -160,7 +160,7 @@ class QuestionVerifier:
         fitting, fault = self._seen_fault(meaning, start)
         if fault or images is None:
             return fault
-        return image_fault(meaning, fitting, images, start, self._graph, self._camera)
+        return image_fault(meaning, fitting, images=images, t=start, graph=self._graph, camera=self._camera)
 
     def _seen_fault(self, meaning: QuestionMeaning, t: int) -> tuple[Collection[int], str]:
         """Returns the objects that question or answer may name, and why the answer about a view is wrong (empty if it
@@ -193,11 +193,11 @@ class QuestionVerifier:
             return "the answer does not belong to the question"
         if self._replay.may_see(self._target, t, 99.0):
             return "the target may be visible"
-        room, own = self._replay.room(t), self._graph.objects[self._target].room
+        room, target_room = self._replay.room(t), self._graph.objects[self._target].room
         is_outside = min(abs(angle) for angle in self._bearings(self._target, t)) > self._half + limit.EDGE_RAD / 2
         match meaning.reason:
             case ReasonKind.OTHER_ROOM:
-                return "" if room and own and room != own else "the target may be in this room"
+                return "" if room and target_room and room != target_room else "the target may be in this room"
             case ReasonKind.OUTSIDE:
                 return "" if is_outside else "the target is not outside of the image"
             case ReasonKind.HIDDEN:
@@ -290,7 +290,7 @@ class QuestionVerifier:
     def _reason_fault(self, meaning: QuestionMeaning, start: int, end: int) -> str:
         replay, target = self._replay, self._target
         first, last = replay.gap(target, start), replay.gap(target, end - 1)
-        room, own = replay.room(start), self._graph.objects[target].room
+        room, target_room = replay.room(start), self._graph.objects[target].room
         turned = cmath.phase(replay.relative(target, start))
         match meaning.reason:
             case ReasonKind.REACHED:
@@ -298,7 +298,7 @@ class QuestionVerifier:
             case ReasonKind.CLOSER:
                 is_right = last <= first * (1.05 - route.TOWARDS_SHARE)
             case ReasonKind.OTHER_ROOM:
-                is_right = bool(room and own and room != own)
+                is_right = bool(room and target_room and room != target_room)
             case ReasonKind.GOAL_AHEAD:
                 is_right = abs(turned) <= limit.AHEAD_RAD.good and self._is_shown(target, start)
             case ReasonKind.GOAL_LEFT | ReasonKind.GOAL_RIGHT:

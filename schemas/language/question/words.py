@@ -61,15 +61,17 @@ class QuestionWords(Model):
     @cached_property
     def patterns(self) -> tuple[QuestionPattern, ...]:
         """Patterns of questions without alternatives, numbered within each kind."""
-        found = []
-        for kind, own in self.questions.items():
-            texts = [(text, held) for held, group in ((False, own.seen), (True, own.held_out)) for text in group]
+        patterns = []
+        for kind, templates in self.questions.items():
+            texts = [
+                (text, held) for held, group in ((False, templates.seen), (True, templates.held_out)) for text in group
+            ]
             whole = [(one, held) for text, held in texts for one in alternatives(text)]
-            found += [
+            patterns += [
                 QuestionPattern(f"{self.code}_{kind}_{number:03d}", kind, text, held)
                 for number, (text, held) in enumerate(whole, 1)
             ]
-        return tuple(found)
+        return tuple(patterns)
 
     def write(
         self,

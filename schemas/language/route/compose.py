@@ -60,13 +60,13 @@ class RouteComposer:
             held_out: whether to use the held-out sentence patterns.
             rng: random generator.
         """
-        path, found = DrivenPath(poses), dict[str, RouteText]()
+        path, texts = DrivenPath(poses), dict[str, RouteText]()
         verifier = RouteVerifier(place.scene.graph, place.scene.verifier, place.doorways, place.camera)
         for _ in range(_TRIES * self._spec.per_episode):
-            if len(found) == self._spec.per_episode:
+            if len(texts) == self._spec.per_episode:
                 break
             spoken = self._spoken[draw_weighted(self._spec.languages, rng)]
-            steps = RouteSearch(place, path, number, spoken.nouns, rng).steps()
+            steps = RouteSearch(place, path, number=number, words=spoken.nouns, rng=rng).steps()
             if not steps:
                 self.rejected["no clear description"] += 1
                 break
@@ -78,8 +78,8 @@ class RouteComposer:
             if fault:
                 self.rejected[fault] += 1
             else:
-                found.setdefault(one.text, one)
-        return list(found.values())
+                texts.setdefault(one.text, one)
+        return list(texts.values())
 
     def _say(
         self, spoken: _Spoken, steps: Sequence[SpannedStep], held_out: bool, rng: np.random.Generator
@@ -91,10 +91,12 @@ class RouteComposer:
         register = draw_weighted(shares, rng)
         frames = [each for each in words.frames if (each.register, each.held_out) == (register, held_out)]
         frame: SentencePattern = frames[int(rng.integers(len(frames)))]
-        said = [words.clause(each.step, frame.case, held_out, spoken.nouns, rng) for each in steps]
-        own, text = words.registers[register], said[0]
-        for place, clause in enumerate(said[1:], 1):
-            joints = own.last if place == len(said) - 1 else own.joiners
+        clauses = [
+            words.clause(each.step, frame.case, held_out=held_out, nouns=spoken.nouns, rng=rng) for each in steps
+        ]
+        register_words, text = words.registers[register], clauses[0]
+        for place, clause in enumerate(clauses[1:], 1):
+            joints = register_words.last if place == len(clauses) - 1 else register_words.joiners
             text += joints[int(rng.integers(len(joints)))] + clause
         finished = spoken.nouns.finished
         whole = finished(frame.before + text + frame.after)
@@ -114,7 +116,7 @@ class RouteComposer:
                     start=each.start,
                     end=each.end,
                 )
-                for place, (each, clause) in enumerate(zip(steps, said, strict=True), 1)
+                for place, (each, clause) in enumerate(zip(steps, clauses, strict=True), 1)
             ),
         )
 

@@ -56,7 +56,7 @@ def find_doorways(graph: SceneGraph) -> tuple[RoomPassage, ...]:
         differs = (one != two) & (one > 0) & (two > 0)
         border |= np.pad(differs, [(0, int(axis == 0)), (0, int(axis == 1))])
     between, _ = scipy.ndimage.label((border | (labels == 0)) & passable, np.ones((3, 3)))
-    found = []
+    doorways = []
     for number, part in enumerate(scipy.ndimage.find_objects(between), 1):
         grown = tuple(slice(max(0, side.start - 2), side.stop + 2) for side in part)
         cells = between[grown] == number
@@ -66,8 +66,8 @@ def find_doorways(graph: SceneGraph) -> tuple[RoomPassage, ...]:
             corner = np.array([side.start for side in grown])
             middle = origin + (np.argwhere(cells).mean(axis=0) + corner + 0.5)[::-1] * resolution
             width = max(side.stop - side.start for side in part) * resolution + 2 * _MARGIN_M
-            found.append(RoomPassage((float(middle[0]), float(middle[1])), rooms, width))
-    return tuple(found)
+            doorways.append(RoomPassage((float(middle[0]), float(middle[1])), rooms, width))
+    return tuple(doorways)
 
 
 def room_changes(graph: SceneGraph, path: DrivenPath) -> list[RoomChange]:
@@ -86,8 +86,8 @@ def room_changes(graph: SceneGraph, path: DrivenPath) -> list[RoomChange]:
 def doorway_of(doorways: tuple[RoomPassage, ...], change: RoomChange, place: Floats) -> RoomPassage | None:
     """Returns the doorway through which a path changes rooms at a point x, y; `None` if the passage is wide or
     unknown."""
-    own = [each for each in doorways if each.rooms == {change.before, change.after}]
-    nearest = min(own, key=lambda each: float(np.hypot(*(place - each.middle))), default=None)
+    passages = [each for each in doorways if each.rooms == {change.before, change.after}]
+    nearest = min(passages, key=lambda each: float(np.hypot(*(place - each.middle))), default=None)
     if nearest is None or np.hypot(*(place - nearest.middle)) > _OWN_M or nearest.width_m > DOORWAY_M.good:
         return None
     return nearest

@@ -44,17 +44,20 @@ class RouteReader:
             form: [_Clause(each.clause, self._compiled(each.text)) for each in patterns]
             for form, patterns in words.patterns.items()
         }
-        self._joints = {name: self._joint(own.joiners, own.last) for name, own in words.registers.items()}
+        self._joints = {
+            name: self._joint(register_words.joiners, register_words.last)
+            for name, register_words in words.registers.items()
+        }
 
     def read(self, text: str) -> list[tuple[RouteStep, ...]]:
         """Returns all readings of the text of a route; empty if the text does not match the grammar."""
         whole = self._language.normal(text.strip())
-        found: dict[tuple[RouteStep, ...], None] = {}
+        readings: dict[tuple[RouteStep, ...], None] = {}
         for frame in self._words.frames:
             before, after = self._language.normal(frame.before), self._language.normal(frame.after)
             if whole.startswith(before) and whole.endswith(after) and len(whole) > len(before) + len(after):
-                found |= dict.fromkeys(self._steps(whole[len(before) : len(whole) - len(after)], frame))
-        return list(found)
+                readings |= dict.fromkeys(self._steps(whole[len(before) : len(whole) - len(after)], frame))
+        return list(readings)
 
     def read_step(self, text: str) -> list[RouteStep]:
         whole = self._language.normal(text.strip()).removesuffix(self._words.full_stop)
@@ -65,12 +68,12 @@ class RouteReader:
         return list(itertools.islice(itertools.product(*options), _MOST_READINGS))
 
     def _clause(self, text: str, form: str) -> list[RouteStep]:
-        found = []
+        clause_steps = []
         for each in self._clauses[form]:
             match = each.pattern.fullmatch(text)
             if match is not None:
-                found += self._meanings(each.clause, match.groupdict())
-        return found
+                clause_steps += self._meanings(each.clause, match.groupdict())
+        return clause_steps
 
     def _meanings(self, clause: str, parts: dict[str, str]) -> list[RouteStep]:
         kind, _, size = clause.partition("_")
@@ -78,10 +81,10 @@ class RouteReader:
             (self._sides[slot][parts[slot]] for slot in ("turn", "pass") if slot in parts), None
         )
         named = self._language.read_phrase(parts["np"].strip()) if "np" in parts else [None]
-        found = []
+        meanings = []
         for one in named:
             try:
-                found.append(
+                meanings.append(
                     RouteStep(
                         kind=StepKind(kind),
                         side=side,
@@ -93,7 +96,7 @@ class RouteReader:
                 )
             except ValidationError:
                 continue
-        return found
+        return meanings
 
     def _compiled(self, text: str) -> re.Pattern[str]:
         pieces = SLOT.split(text)  # literal, slot, case, literal, ...

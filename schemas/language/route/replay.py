@@ -51,11 +51,11 @@ class PoseReplay:
 
     def headings(self, start: int, end: int) -> list[float]:
         """Returns the headings of frames relative to the first one, radians, continuous."""
-        total, found = 0.0, [0.0]
+        total, headings = 0.0, [0.0]
         for increment in self._increments[start : end - 1]:
             total += increment
-            found.append(total)
-        return found
+            headings.append(total)
+        return headings
 
     def driven(self, start: int, end: int) -> float:
         """Returns the driven distance, metres."""

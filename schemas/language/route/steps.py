@@ -95,27 +95,27 @@ class RouteSearch:
         if parts[-1].turn_rad:  # the path ends with a turn, so the end of this turn becomes the stop
             parts[-1:] = self._cut(parts[-1])
         changes = room_changes(self._graph, self._path)
-        found: list[SpannedStep] = []
+        steps: list[SpannedStep] = []
         first = 0
         for number, part in enumerate(parts):
-            own = [change for change in changes if part.start <= change.frame < part.end]
+            changes_inside = [change for change in changes if part.start <= change.frame < part.end]
             if part.turn_rad:
                 # the step also covers the frames after the step before it, whose heading may differ a little
                 turned = float(self._path.yaw[part.end - 1] - self._path.yaw[first])
-                if abs(turned) < _SMALLEST_RAD and not own:
+                if abs(turned) < _SMALLEST_RAD and not changes_inside:
                     continue
-                turns = self._turned(first, part.end, own)
+                turns = self._turned(first, part.end, changes_inside)
                 if not turns:
                     return []
-                found += turns
+                steps += turns
             else:
                 is_last = number == len(parts) - 1
-                run = self._run(part._replace(start=first), own, is_last)
+                run = self._run(part._replace(start=first), changes_inside, is_last)
                 if run is None:
                     return []
-                found += run
-            first = found[-1].end if found else 0
-        return found
+                steps += run
+            first = steps[-1].end if steps else 0
+        return steps
 
     def _turned(self, start: int, end: int, changes: list[RoomChange]) -> list[SpannedStep]:
         """Returns the steps of a turn, perhaps with a doorway; empty if it has no clear description."""
@@ -175,31 +175,31 @@ class RouteSearch:
 
     def _run(self, part: PathPart, changes: list[RoomChange], is_last: bool) -> list[SpannedStep] | None:
         """Returns the steps of a straight run; `None` if one of them has no clear description."""
-        found: list[SpannedStep] = []
+        run_steps: list[SpannedStep] = []
         first = part.start
         for change in changes:
             doorway = doorway_of(self._place.doorways, change, self._path.xy[change.frame])
             if doorway is None:
                 continue
-            found += self._passes(first, change.frame)
-            first = found[-1].end if found else first
+            run_steps += self._passes(first, change.frame)
+            first = run_steps[-1].end if run_steps else first
             if not self._is_clear(doorway, first):
                 return None
             done = min(self._frame_at(self._path.along[change.frame] + _BEYOND_M), part.end - int(is_last))
             kind = self._graph.types[change.after - 1]
-            found.append(SpannedStep(RouteStep(kind=StepKind.DOOR, room=kind), first, max(done, change.frame + 1)))
-            first = found[-1].end
-        found += self._passes(first, part.end)
-        first = found[-1].end if found else first
+            run_steps.append(SpannedStep(RouteStep(kind=StepKind.DOOR, room=kind), first, max(done, change.frame + 1)))
+            first = run_steps[-1].end
+        run_steps += self._passes(first, part.end)
+        first = run_steps[-1].end if run_steps else first
         left = float(self._path.along[part.end - 1] - self._path.along[min(first, part.end - 1)])
         if is_last:
             last = self._arrival(min(first, part.end - 1), part.end, left)
-            return [*found, *last] if last else None
+            return [*run_steps, *last] if last else None
         if left > _SHORT_M:
-            return [*found, self._onward(first, part.end, left)]
-        if found:
-            found[-1] = found[-1]._replace(end=part.end)
-        return found
+            return [*run_steps, self._onward(first, part.end, left)]
+        if run_steps:
+            run_steps[-1] = run_steps[-1]._replace(end=part.end)
+        return run_steps
 
     def _frame_at(self, along_m: float) -> int:
         return int(np.searchsorted(self._path.along, along_m)) + 1
@@ -219,24 +219,24 @@ class RouteSearch:
             dx, dy = each.middle[0] - x, each.middle[1] - y
             return math.hypot(dx, dy), abs(math.remainder(math.atan2(dy, dx) - yaw, math.tau))
 
-        own, angle = offset(doorway)
+        side, angle = offset(doorway)
         rivals = [offset(each) for each in self._place.doorways if room in each.rooms and each != doorway]
         ahead = [far for far, aside in rivals if aside < limit.DOOR_AHEAD_RAD]
-        return angle < math.pi / 3 and all(far > own + limit.NEXT_DOOR_M for far in ahead)
+        return angle < math.pi / 3 and all(far > side + limit.NEXT_DOOR_M for far in ahead)
 
     def _passes(self, start: int, end: int) -> list[SpannedStep]:
         """Returns steps past objects between two frames; objects too soon after the previous one are omitted."""
         if end - start < 2 or self._path.along[end - 1] - self._path.along[start] < limit.RUN_M:
             return []
-        found: list[SpannedStep] = []
+        passes: list[SpannedStep] = []
         for done, side, number in self._passed(start, end):
-            first = found[-1].end if found else start
-            if found and self._path.along[done - 1] - self._path.along[first] < _APART_M:
+            first = passes[-1].end if passes else start
+            if passes and self._path.along[done - 1] - self._path.along[first] < _APART_M:
                 continue
             named = self._named(number, first, done)
             if named is not None and self._view(first).sure[number] and self._is_before(number, first):
-                found.append(SpannedStep(RouteStep(kind=StepKind.PAST, side=side, named=named), first, done))
-        return found
+                passes.append(SpannedStep(RouteStep(kind=StepKind.PAST, side=side, named=named), first, done))
+        return passes
 
     def _is_before(self, number: int, t: int) -> bool:
         ahead, _ = self._offsets(np.array([t]))
@@ -265,13 +265,13 @@ class RouteSearch:
         behind = (ahead[-1] < -limit.BEHIND_M.good - 0.1) & (ahead[0] > limit.BEFORE_M.good)
         close = gaps[nearest, columns] <= limit.PASS_M.good
         aside = (np.sign(left) == np.sign(left[nearest, columns])).all(axis=0)
-        own = self._graph.room_of
+        room_numbers = self._graph.room_of
         rooms = {self._graph.room_at(*self._path.xy[t].tolist()) for t in (start, end - 1)}
-        same = (own == 0) | np.isin(own, list(rooms))
-        found = np.flatnonzero(behind & close & aside & same)
-        done = [frames[int(np.argmax(ahead[:, each] < -limit.BEHIND_M.good - 0.1))] for each in found]
+        same = (room_numbers == 0) | np.isin(room_numbers, list(rooms))
+        passed = np.flatnonzero(behind & close & aside & same)
+        done = [frames[int(np.argmax(ahead[:, each] < -limit.BEHIND_M.good - 0.1))] for each in passed]
         for place in np.argsort(done, kind="stable").tolist():
-            number = int(found[place])
+            number = int(passed[place])
             if number != self._target and min(int(done[place]) + _EVERY, end) > start:
                 side = RobotSide.LEFT if left[nearest[number], number] > 0 else RobotSide.RIGHT
                 yield min(int(done[place]) + _EVERY, end), side, number
@@ -334,7 +334,7 @@ class RouteSearch:
         if named is None:
             seen = ViewFacts(self._facts, self._view(start))
             families, words = _LATER if start else frozenset(Family), self._words.model_copy(update={"rooms": {}})
-            search = Search(self._place.scene.parts, seen, self._target, families, words)
+            search = Search(self._place.scene.parts, seen, number=self._target, families=families, words=words)
             fitting = minimal_expressions(search, self._rng)
             if not fitting:
                 return None

@@ -68,7 +68,7 @@ class RouteVerifier:
         for steps in readings:
             if len(steps) != len(spans):
                 return "the text has a different number of steps"
-            if any(step not in own for step, own in zip(steps, alone, strict=True)):
+            if any(step not in alternatives for step, alternatives in zip(steps, alone, strict=True)):
                 return "a step differs from its own sentence"
             for step, span in zip(steps, spans, strict=True):
                 fault = self._fault(step, replay, *span, target)
@@ -99,7 +99,7 @@ class RouteVerifier:
             case StepKind.DOOR:
                 return self._door_fault(step, replay, start, end)
             case _:
-                return self._object_fault(step, replay, start, end, target)
+                return self._object_fault(step, replay, start=start, end=end, target=target)
 
     def _unsaid(self, step: RouteStep, replay: PoseReplay, start: int, end: int) -> str:
         """Returns a fault if the span has a turn or a doorway that the step does not name; otherwise an empty text."""
@@ -112,15 +112,15 @@ class RouteVerifier:
 
     def _crossed(self, replay: PoseReplay, start: int, end: int) -> list[int]:
         """Returns the frames at which the path goes through a doorway into another room, in which it stays."""
-        found, room = [], 0
+        crossed, room = [], 0
         for t in range(start, end):
             here = replay.room(t)
             if here and room and here != room and self._stays(replay, t, here, end):
                 if replay.passage_width(t) <= limit.DOORWAY_M.good:
-                    found.append(t)
+                    crossed.append(t)
                 room = here
             room = room or here
-        return found
+        return crossed
 
     def _stays(self, replay: PoseReplay, t: int, room: int, end: int) -> bool:
         driven = next((k for k in range(t, end) if replay.driven(t, k + 1) > 0.45), None)
@@ -163,7 +163,7 @@ class RouteVerifier:
         (number,) = fitting
         match step.kind:
             case StepKind.PAST:
-                return _pass_fault(step, replay, number, start, end)
+                return _pass_fault(step, replay, number=number, start=start, end=end)
             case StepKind.TOWARDS:
                 first, last = replay.relative(number, start), replay.relative(number, end - 1)
                 if abs(cmath.phase(first)) > limit.TOWARDS_RAD.good + 0.02:

@@ -74,26 +74,34 @@ class RouteWords(Model):
         return {
             form: tuple(
                 ClausePattern(clause, one, held_out)
-                for clause, group in own.items()
+                for clause, group in templates.items()
                 for held_out, texts in ((False, group.seen), (True, group.held_out))
                 for text in texts
                 for one in alternatives(text)
             )
-            for form, own in self.clauses.items()
+            for form, templates in self.clauses.items()
         }
 
     @cached_property
     def frames(self) -> tuple[SentencePattern, ...]:
         """Sentence patterns of whole routes; the field `case` of a pattern contains the form of its verbs."""
-        found = []
-        for register, own in self.registers.items():
-            texts = [(text, held) for held, group in ((False, own.seen), (True, own.held_out)) for text in group]
+        frames = []
+        for register, register_words in self.registers.items():
+            texts = [
+                (text, held)
+                for held, group in ((False, register_words.seen), (True, register_words.held_out))
+                for text in group
+            ]
             whole = [(one, held) for text, held in texts for one in alternatives(text)]
             for number, (text, held_out) in enumerate(whole, 1):
                 before, _, after = text.partition(_ROUTE)
                 name = f"{self.code}_route_{register}_{number:03d}"
-                found.append(SentencePattern(name, register, held_out, before, own.form, after))
-        return tuple(found)
+                frames.append(
+                    SentencePattern(
+                        name, register, held_out=held_out, before=before, case=register_words.form, after=after
+                    )
+                )
+        return tuple(frames)
 
     def clause(self, step: RouteStep, form: str, held_out: bool, nouns: Grammar, rng: np.random.Generator) -> str:
         """Returns the words of a step without a capital letter; draws pattern and synonyms at random."""

@@ -127,10 +127,12 @@ class Grammar(Model):
     @cached_property
     def sentences(self) -> tuple[SentencePattern, ...]:
         """All sentence patterns without alternatives, numbered within each register."""
-        found = []
-        for register, own in self.patterns.items():
+        sentences = []
+        for register, templates in self.patterns.items():
             texts = [
-                (text, held_out) for held_out, group in ((False, own.seen), (True, own.held_out)) for text in group
+                (text, held_out)
+                for held_out, group in ((False, templates.seen), (True, templates.held_out))
+                for text in group
             ]
             whole = dict.fromkeys((one, held_out) for text, held_out in texts for one in alternatives(text))
             for number, (text, held_out) in enumerate(whole, 1):
@@ -138,8 +140,17 @@ class Grammar(Model):
                 assert slot is not None, f"{text!r} has no slot"
                 name = f"{self.code}_{register}_{number:03d}"
                 case = slot[2] or "nom"
-                found.append(SentencePattern(name, register, held_out, text[: slot.start()], case, text[slot.end() :]))
-        return (*found, *self._paraphrased())
+                sentences.append(
+                    SentencePattern(
+                        name,
+                        register,
+                        held_out=held_out,
+                        before=text[: slot.start()],
+                        case=case,
+                        after=text[slot.end() :],
+                    )
+                )
+        return (*sentences, *self._paraphrased())
 
     def _paraphrased(self) -> Iterator[SentencePattern]:
         for register, texts in self.paraphrases.items():
@@ -147,7 +158,14 @@ class Grammar(Model):
                 slot = SLOT.search(text)
                 assert slot is not None, f"{text!r} has no slot"
                 name = f"{self.code}_paraphrase_{register}_{number:03d}"
-                yield SentencePattern(name, register, False, text[: slot.start()], slot[2] or "nom", text[slot.end() :])
+                yield SentencePattern(
+                    name,
+                    register,
+                    held_out=False,
+                    before=text[: slot.start()],
+                    case=slot[2] or "nom",
+                    after=text[slot.end() :],
+                )
 
     @cached_property
     def kinds(self) -> frozenset[str]:
@@ -261,7 +279,7 @@ class Grammar(Model):
     def _agreeing(self, text: str, gender: str) -> str:
         """Returns a text with the alternative of each `<a|b|c>` that agrees with a gender."""
         place = self.genders.index(gender) if gender in self.genders else 0
-        return _GENDER.sub(lambda found: found[1].split("|")[place], text)
+        return _GENDER.sub(lambda match: match[1].split("|")[place], text)
 
 
 def _place(ordinal: Ordinal) -> str:

@@ -44,9 +44,9 @@ def with_mistake(
         rng: random generator.
     """
     for _ in range(0 if (code, kind) == ("zh", MistakeKind.TYPING) else _TRIES):
-        found = _mistyped(text, rng) if kind is MistakeKind.TYPING else _misspoken(text, code, rng)
-        if found is not None and not mistake_fault(found, text, kind, code, vocabulary):
-            return found
+        changed = _mistyped(text, rng) if kind is MistakeKind.TYPING else _misspoken(text, code, rng)
+        if changed is not None and not mistake_fault(changed, text, kind=kind, code=code, vocabulary=vocabulary):
+            return changed
     return None
 
 

@@ -38,11 +38,11 @@ def pattern_fault(code: str, text: str) -> str:
     around = f"{before} {after}"
     if _MARKS & set(around) or any(character.isdigit() for character in around):
         return "it has digits, or special characters such as ( or |"
-    source, own = grammar(code), _known_words(code)
+    source, words = grammar(code), _known_words(code)
     case, governor = slots[0][1], _last_word(before)
-    if source.genders and (case or "nom", governor) not in own.governed:
+    if source.genders and (case or "nom", governor) not in words.governed:
         return "no built-in pattern has this word before a slot with this case, so the case may be wrong"
-    return _content_fault(source, around.lower(), set(_WORD.findall(around.lower())), own.content)
+    return _content_fault(source, around.lower(), set(_WORD.findall(around.lower())), words.content)
 
 
 def _content_fault(source: Grammar, around: str, words: set[str], content: frozenset[str]) -> str:
@@ -79,8 +79,8 @@ def _known_words(code: str) -> _KnownWords:
 
 
 def _last_word(before: str) -> str:
-    found: list[str] = _WORD.findall(before.lower())
-    return found[-1] if found else ""
+    words: list[str] = _WORD.findall(before.lower())
+    return words[-1] if words else ""
 
 
 def _content(source: Grammar) -> set[str]:

@@ -42,8 +42,8 @@ class _Words:
 
     def match(self, text: str, at: int) -> tuple[object, int] | None:
         """Returns the meaning of the longest word at a position, and the position after the word."""
-        found = self._pattern.match(text, at)
-        return None if found is None else (self.meanings[found[0]], found.end())
+        match = self._pattern.match(text, at)
+        return None if match is None else (self.meanings[match[0]], match.end())
 
 
 class _Noun(NamedTuple):
@@ -62,7 +62,7 @@ class Reader:
 
     def __init__(self, source: Grammar) -> None:
         self._grammar = source
-        self._undo = [(re.compile(said), read) for said, read in source.read]
+        self._undo = [(re.compile(replaced), read) for replaced, read in source.read]
         self._spaced = " " in source.layout
         marks = {noun.partition(":")[2] for words in source.nouns.values() for noun in words} - {*source.genders, ""}
         self._marks = (*sorted({*source.endings.values(), *marks}), "")
@@ -86,31 +86,31 @@ class Reader:
 
     def normal(self, text: str) -> str:
         """Returns a text in lower case, composed (NFC), with single spaces and without contractions."""
-        found = _SPACE.sub(" ", unicodedata.normalize("NFC", text)).lower()
+        normal = _SPACE.sub(" ", unicodedata.normalize("NFC", text)).lower()
         for pattern, replacement in self._undo:
-            found = pattern.sub(replacement, found)
-        return found
+            normal = pattern.sub(replacement, normal)
+        return normal
 
     def read(self, sentence: str) -> list[Reading]:
         """Returns all readings of a sentence; empty if the sentence does not match the grammar."""
         text = self.normal(sentence.strip())
-        found = []
+        readings = []
         for end in range(len(text)):
             for after, pattern in self._patterns.get(text[:end], ()):
                 if text.endswith(after) and end < len(text) - len(after):
                     phrase = text[end : len(text) - len(after)]
-                    found += [Reading(pattern, expression) for expression in self.read_phrase(phrase)]
-        return found
+                    readings += [Reading(pattern, expression) for expression in self.read_phrase(phrase)]
+        return readings
 
     def read_phrase(self, phrase: str) -> list[Expression]:
         """Returns all meanings of a referring expression in normal form."""
-        found: list[Expression] = []
+        expressions: list[Expression] = []
         ways = self._head_last(phrase) if self._grammar.head_last else self._head_first(phrase)
         for noun, clauses in ways:
             expression = _expression(noun, clauses)
-            if expression is not None and expression not in found:
-                found.append(expression)
-        return found
+            if expression is not None and expression not in expressions:
+                expressions.append(expression)
+        return expressions
 
     def _head_first(self, phrase: str) -> Iterator[tuple[_Noun, tuple[Clause, ...]]]:
         noun = self._noun(phrase, 0)
@@ -128,13 +128,13 @@ class Reader:
 
     def _clauses(self, text: str, at: int) -> list[tuple[tuple[Clause, ...], int]]:
         """Returns the lists of relations that begin at a position, each with the position after it."""
-        found: list[tuple[tuple[Clause, ...], int]] = []
+        clauses: list[tuple[tuple[Clause, ...], int]] = []
         for clause, end in self._clause(text, at):
-            found.append(((clause,), end))
+            clauses.append(((clause,), end))
             after = self._skip(text, end, self._joiner)
             if after > end:
-                found += [((clause, *rest), last) for rest, last in self._clauses(text, after)]
-        return found
+                clauses += [((clause, *rest), last) for rest, last in self._clauses(text, after)]
+        return clauses
 
     def _clause(self, text: str, at: int) -> Iterator[tuple[Clause, int]]:
         start = self._blank(text, at)
@@ -174,7 +174,7 @@ class Reader:
         end = at
         while True:
             end = self._blank(text, end)
-            found = next(
+            noun = next(
                 (
                     (group, match)
                     for group in _GROUPS
@@ -182,9 +182,9 @@ class Reader:
                 ),
                 None,
             )
-            if found is None:
+            if noun is None:
                 break
-            group, (meaning, after) = found
+            group, (meaning, after) = noun
             parts[group], end, last = meaning, after, after
         if "noun" not in parts:
             return None
@@ -237,8 +237,8 @@ class Reader:
 
 def _forms(text: str) -> list[str]:
     """Returns a text with each alternative of `<a|b|c>`."""
-    found = _GENDERED.search(text)
-    return [_GENDERED.sub(chosen, text) for chosen in found[1].split("|")] if found else [text]
+    match = _GENDERED.search(text)
+    return [_GENDERED.sub(chosen, text) for chosen in match[1].split("|")] if match else [text]
 
 
 _SLOTS = frozenset({"0", "1", "room", "count", "many"})

@@ -104,7 +104,7 @@ class Footprints:
         corners = [(point - complex(*eye)) * turn for point in self._outlines[number]]
         along, aside = [each.real for each in corners], [sign * each.imag for each in corners]
         middle = ((self._centres[number] - complex(*eye)) * turn).real
-        return AlongBox(min(along), max(along), middle, min(aside), max(aside))
+        return AlongBox(min(along), max(along), middle=middle, near=min(aside), far=max(aside))
 
     def direction(self, number: int, other: int, eye: tuple[float, float]) -> float:
         """Returns the direction from a landmark to an object relative to the line of sight to the landmark, radians.

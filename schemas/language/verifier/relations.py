@@ -35,8 +35,8 @@ class ObjectRelations:
 
     def is_in_room(self, number: int, room: int) -> Truth:
         """Returns whether an object is in a room; 0 is an unknown room."""
-        own = self._graph.objects[number].room
-        return Truth.MAYBE if not room or not own else Truth.YES if own == room else Truth.NO
+        own_room = self._graph.objects[number].room
+        return Truth.MAYBE if not room or not own_room else Truth.YES if own_room == room else Truth.NO
 
     def is_beside(self, number: int, thing: int) -> Truth:
         """Returns whether a thing is close to an object, and clearly farther from every other object with a top."""
@@ -59,8 +59,8 @@ class ObjectRelations:
         """Returns whether an object is ahead of the viewer, or on the left or right."""
         bearing = float(view.bearing[number])
         shown = Truth.YES if view.sure[number] else Truth.MAYBE if view.possible[number] else Truth.NO
-        own = self._graph.objects[number].room
-        if shown is Truth.NO and own in (0, view.room):
+        room = self._graph.objects[number].room
+        if shown is Truth.NO and room in (0, view.room):
             shown = Truth.MAYBE
         if relation is Relation.AHEAD:
             return min(shown, at_most(abs(bearing), limit.AHEAD_RAD))
@@ -92,9 +92,9 @@ class ObjectRelations:
         if together is Truth.NO:
             return Truth.NO
         if relation is Relation.NEXT_TO:
-            found = at_most(self._prints.gap(number, other), limit.NEXT_TO_M)
+            truth = at_most(self._prints.gap(number, other), limit.NEXT_TO_M)
             is_doubtful = self._graph.walled[number, other] or self._prints.is_stacked(number, other)
-            return Truth.MAYBE if found is Truth.YES and is_doubtful else found
+            return Truth.MAYBE if truth is Truth.YES and is_doubtful else truth
         assert view is not None
         if not view.possible[other]:
             return Truth.NO
@@ -128,8 +128,8 @@ class ObjectRelations:
         rooms = {self._graph.objects[each].room for each in (number, first, second)} - {0}
         if len(rooms) > 1:
             return Truth.NO
-        found = self._prints.between(number, first, second)
-        return min(found, Truth.MAYBE) if self._graph.walled[first, second] else found
+        truth = self._prints.between(number, first, second)
+        return min(truth, Truth.MAYBE) if self._graph.walled[first, second] else truth
 
     def is_near_enough(self, number: int, other: int, way: Selected) -> Truth:
         """Returns `MAYBE` if an object that is called the nearest to a landmark is not in the landmark's room, or a

@@ -28,7 +28,7 @@ def by_size(truths: dict[int, Truth], size: Size, prints: Footprints) -> dict[in
     way = Selected.MOST if size in (Size.TALLEST, Size.LARGEST) else Selected.LEAST
     if tall and not all(prints.has_same_base(one, two) for one, two in combinations(truths, 2)):
         return dict.fromkeys(truths, Truth.MAYBE)
-    return extreme(truths, values, way, limit.HEIGHT_RATIO if tall else limit.VOLUME_RATIO, 0.0)
+    return extreme(truths, values, way=way, ratio=limit.HEIGHT_RATIO if tall else limit.VOLUME_RATIO, gap=0.0)
 
 
 def counted(truths: dict[int, Truth], place: int, side: ViewSide, view: SceneView) -> dict[int, Truth]:
@@ -54,11 +54,11 @@ def counted_ahead(
     """Returns the object at a position on one side of the way ahead; if it is uncertain, all candidates as `MAYBE`."""
     # for equal racks in rows, no other phrase fits only one of them
     boxes = {number: prints.seen_along((view.x, view.y), view.yaw, number, AHEAD_SIDES[side]) for number in truths}
-    found = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
-    sure = [boxes[number] for number, truth in found.items() if truth is Truth.YES]
+    ahead = {number: min(truth, _is_in_row(boxes[number])) for number, truth in truths.items()}
+    sure = [boxes[number] for number, truth in ahead.items() if truth is Truth.YES]
     row = {
         number: truth
-        for number, truth in found.items()
+        for number, truth in ahead.items()
         if truth is not Truth.NO and (view.shown[number] or not any(_covers(other, boxes[number]) for other in sure))
     }
     order = sorted(row, key=lambda number: boxes[number].middle)

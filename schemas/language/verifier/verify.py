@@ -112,7 +112,7 @@ class Verifier:
         if key in self._fitting:
             return self._fitting[key]
         table = self.graph.kinds
-        found: dict[int, Truth] = {}
+        truths: dict[int, Truth] = {}
         inside, alike = table.kinds_of(kind), table.borderline_of(kind)
         for number, each in enumerate(self.graph.objects):
             truth = Truth.YES if each.kind in inside else Truth.MAYBE if each.kind in alike else Truth.NO
@@ -125,24 +125,24 @@ class Verifier:
             if material is not None:
                 truth = min(truth, _is_made_of(each.materials, material))
             if truth is not Truth.NO:
-                found[number] = truth
-        self._fitting[key] = found
-        return found
+                truths[number] = truth
+        self._fitting[key] = truths
+        return truths
 
     def _landmarks(self, landmark: Landmark) -> dict[int, Truth]:
-        found = self._described(landmark.kind, landmark.colour)
-        if landmark.definite and len(found) > 1:
+        landmarks = self._described(landmark.kind, landmark.colour)
+        if landmark.definite and len(landmarks) > 1:
             raise _Ambiguous(f"the landmark {landmark.kind} is not unique")
-        return found
+        return landmarks
 
     def _restricted(self, truths: Mapping[int, Truth], clause: Clause, view: SceneView | None) -> dict[int, Truth]:
         landmarks = [self._landmarks(landmark) for landmark in clause.landmarks]
-        found: dict[int, Truth] = {}
+        restricted: dict[int, Truth] = {}
         for number, truth in truths.items():
             holds = min(truth, self._holds(clause, number, landmarks, view))
             if holds is not Truth.NO:
-                found[number] = holds
-        return found
+                restricted[number] = holds
+        return restricted
 
     def _holds(self, clause: Clause, number: int, landmarks: list[dict[int, Truth]], view: SceneView | None) -> Truth:
         """Returns whether a relation holds between an object and any of its landmarks."""
@@ -190,7 +190,9 @@ class Verifier:
                 return self._relations.from_viewer(clause.relation, number, view)
 
     def _unique_room(self, kind: str) -> int:
-        labels = [room.label for room, own in zip(self.graph.rooms, self.graph.types, strict=True) if own == kind]
+        labels = [
+            room.label for room, room_type in zip(self.graph.rooms, self.graph.types, strict=True) if room_type == kind
+        ]
         if len(labels) > 1:
             raise _Ambiguous(f"the scene has {len(labels)} rooms of the type {kind}")
         return labels[0] if labels else -1
@@ -198,8 +200,8 @@ class Verifier:
     def _counts(self, relation: Relation, number: int, things: Mapping[int, Truth], count: int) -> Truth:
         """Returns whether exactly `count` things are beside or on an object."""
         near = self._relations.is_beside if relation is Relation.WITH_BESIDE else self._prints.holds
-        found = [min(truth, near(number, thing)) for thing, truth in things.items() if thing != number]
-        sure, possible = found.count(Truth.YES), len(found) - found.count(Truth.NO)
+        truths = [min(truth, near(number, thing)) for thing, truth in things.items() if thing != number]
+        sure, possible = truths.count(Truth.YES), len(truths) - truths.count(Truth.NO)
         if sure <= count <= possible:
             return Truth.YES if sure == possible else Truth.MAYBE
         return Truth.NO
@@ -219,7 +221,7 @@ class Verifier:
                     number: min(truth, self._relations.is_in_room(number, view.room))
                     for number, truth in truths.items()
                 }
-                return counted_ahead(here, place, side, view, self._prints)
+                return counted_ahead(here, place, side=side, view=view, prints=self._prints)
             return counted(truths, place, side, view)
         if expression.size is not None:
             return by_size(truths, expression.size, self._prints)

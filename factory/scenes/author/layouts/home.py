@@ -60,8 +60,8 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) 
         "hall": _hall,
     }
     has = {room.kind for room in rooms}
-    own = [Furnisher(plan, room, palette) for room in rooms]
-    for furnisher in own:
+    furnishers = [Furnisher(plan, room, palette) for room in rooms]
+    for furnisher in furnishers:
         room = furnisher.room
         kinds[room.kind](furnisher)
         if room.kind == "living" and "dining" not in has:
@@ -69,158 +69,166 @@ def furnish_home(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palette) 
         if room.kind == "bath" and "laundry" not in has:
             furnisher.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
     dry = ("living", "dining", "bedroom", "study", "hall")
-    complete(plan, own, {"SM_NightStand": 1}, ("bedroom",))
-    complete(plan, own, {"SM_BathTub": 1, "SM_Toilet": 1}, ("bath",))
-    complete(plan, own, {"SM_Refrigerator": 1}, ("kitchen", "laundry", "dining", "hall", "living"))
-    complete(plan, own, {"SM_WashingMachine": 1}, ("laundry", "bath", "kitchen", "hall"))
-    complete(plan, own, _EVERYWHERE, dry)
-    for furnisher in own:
+    complete(plan, furnishers, {"SM_NightStand": 1}, ("bedroom",))
+    complete(plan, furnishers, {"SM_BathTub": 1, "SM_Toilet": 1}, ("bath",))
+    complete(plan, furnishers, {"SM_Refrigerator": 1}, ("kitchen", "laundry", "dining", "hall", "living"))
+    complete(plan, furnishers, {"SM_WashingMachine": 1}, ("laundry", "bath", "kitchen", "hall"))
+    complete(plan, furnishers, _EVERYWHERE, dry)
+    for furnisher in furnishers:
         furnisher.hang_all()
 
 
-def _living(own: Furnisher) -> None:
+def _living(furnisher: Furnisher) -> None:
     """Places a sofa opposite a television, arm chairs, a table on a rug, shelves, sometimes a fireplace or a piano."""
-    plan, rng, look = own.plan, own.rng, own.palette.wood
-    sides = own.sides()
+    plan, rng, look = furnisher.plan, furnisher.rng, furnisher.palette.wood
+    sides = furnisher.sides()
     for side, clearance in [(side, clearance) for clearance in (0.3, 0.05) for side in sides]:
-        media = own.wall_piece("SM_TvUnit", look, side, clearance, 0.02)
+        media = furnisher.wall_piece("SM_TvUnit", look, sides=side, clearance=clearance, gap=0.02)
         if media is not None:
-            own.on_top("SM_TelevisionFlat", plan.pick(3), media, float(media.model.high[2]))
-            _seats(own, side, media)
+            furnisher.on_top("SM_TelevisionFlat", plan.pick(3), media, float(media.model.high[2]))
+            _seats(furnisher, side, media)
             break
     if rng.random() < 0.6:
-        own.wall_piece("SM_Fireplace", clearance=0.4, gap=0.0)
-    own.wall_piece("SM_ShelfBook_B", look, clearance=0.3)
+        furnisher.wall_piece("SM_Fireplace", clearance=0.4, gap=0.0)
+    furnisher.wall_piece("SM_ShelfBook_B", look, clearance=0.3)
     if rng.random() < 0.5:
-        piano = own.wall_piece("SM_Piano", clearance=0.35)
+        piano = furnisher.wall_piece("SM_Piano", clearance=0.35)
         if piano is not None:
-            own.before("SM_Stool_F", 1, piano, 0.55)
-    own.corner("SM_LampFloor")
-    own.corner("SM_Plant_A")
-    own.corner("SM_Plant_A")
-    own.dress(own.wall_piece("SM_Sideboard", look + 1, clearance=0.3), _ON_BOARDS, 3)
-    own.small(("SM_Vase", "SM_Basket", "SM_ClockTall", "SM_ToyPile")[plan.pick(2) :: 2])
-    own.hang(("SM_Tapestry", "SM_WallLedge")[plan.pick(2)])
-    own.hang("SM_PictureFrame", 4)
+            furnisher.before("SM_Stool_F", 1, piano, 0.55)
+    furnisher.corner("SM_LampFloor")
+    furnisher.corner("SM_Plant_A")
+    furnisher.corner("SM_Plant_A")
+    furnisher.dress(furnisher.wall_piece("SM_Sideboard", look + 1, clearance=0.3), _ON_BOARDS, 3)
+    furnisher.small(("SM_Vase", "SM_Basket", "SM_ClockTall", "SM_ToyPile")[plan.pick(2) :: 2])
+    furnisher.hang(("SM_Tapestry", "SM_WallLedge")[plan.pick(2)])
+    furnisher.hang("SM_PictureFrame", 4)
 
 
-def _seats(own: Furnisher, side: str, media: PropPlacement) -> None:
+def _seats(furnisher: Furnisher, side: str, media: PropPlacement) -> None:
     """Places a sofa that faces the television cabinet, with a rug, a coffee table, arm chairs and an ottoman."""
-    plan, rng, cover = own.plan, own.rng, own.palette.cover
-    reach = min(float(rng.uniform(2.5, 3.1)), (own.area.depth if side in "NS" else own.area.width) - 0.9)
+    plan, rng, cover = furnisher.plan, furnisher.rng, furnisher.palette.cover
+    reach = min(float(rng.uniform(2.5, 3.1)), (furnisher.area.depth if side in "NS" else furnisher.area.width) - 0.9)
     into = (math.sin(media.yaw), -math.cos(media.yaw))
     x, y = media.x + into[0] * reach, media.y + into[1] * reach
     middle = (media.x + into[0] * (reach - 1.15), media.y + into[1] * (reach - 1.15))
-    if plan.place(plan.props.model("SM_Sofa_A", cover), x, y, media.yaw + math.pi, own.area, 0.1) is None:
-        own.wall_piece("SM_Sofa_A", cover, clearance=0.3)
-    own.carpet(middle, *((2.5, 1.7) if side in "NS" else (1.7, 2.5)))
+    if plan.place(plan.props.model("SM_Sofa_A", cover), x, y, media.yaw + math.pi, furnisher.area, 0.1) is None:
+        furnisher.wall_piece("SM_Sofa_A", cover, clearance=0.3)
+    furnisher.carpet(middle, *((2.5, 1.7) if side in "NS" else (1.7, 2.5)))
     along = (math.cos(media.yaw), math.sin(media.yaw))
-    plan.place(plan.props.model("SM_TableCoffee_D", own.palette.wood), *middle, media.yaw, own.area, 0.1)
+    plan.place(plan.props.model("SM_TableCoffee_D", furnisher.palette.wood), *middle, media.yaw, furnisher.area, 0.1)
     for turn in (1.0, -1.0) if rng.random() < 0.5 else (-1.0, 1.0):
         shift = turn * float(rng.uniform(1.45, 1.7))
         seat = (middle[0] + along[0] * shift, middle[1] + along[1] * shift)
         model = plan.props.model("SM_ChairLounge_G", cover + 1)
-        plan.place(model, *seat, media.yaw + turn * math.pi / 2 + math.pi, own.area, 0.15)
+        plan.place(model, *seat, media.yaw + turn * math.pi / 2 + math.pi, furnisher.area, 0.15)
         if rng.random() < 0.5:
             break
-    own.small(("SM_Ottoman",), 0.3)
+    furnisher.small(("SM_Ottoman",), 0.3)
 
 
-def _dining(own: Furnisher) -> None:
+def _dining(furnisher: Furnisher) -> None:
     """Places a table with chairs, a sideboard, a plant and pictures."""
-    _dining_group(own, along_wall=False)
-    board = own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.5)
-    own.dress(board, ("SM_LampSmall", *_ON_BOARDS), 3)
-    own.corner("SM_Plant_A")
-    own.small(("SM_ClockTall", "SM_Vase") if own.rng.random() < 0.5 else ("SM_Vase",))
-    own.hang("SM_WallLedge")
-    own.hang("SM_PictureFrame", 3)
+    _dining_group(furnisher, along_wall=False)
+    board = furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, clearance=0.5)
+    furnisher.dress(board, ("SM_LampSmall", *_ON_BOARDS), 3)
+    furnisher.corner("SM_Plant_A")
+    furnisher.small(("SM_ClockTall", "SM_Vase") if furnisher.rng.random() < 0.5 else ("SM_Vase",))
+    furnisher.hang("SM_WallLedge")
+    furnisher.hang("SM_PictureFrame", 3)
 
 
-def _dining_group(own: Furnisher, along_wall: bool) -> None:
+def _dining_group(furnisher: Furnisher, along_wall: bool) -> None:
     """Places a dining table with four chairs in the middle of a room, or near a wall of a larger room."""
-    plan, rng = own.plan, own.rng
-    table = plan.props.model("SM_TableDining_E", own.palette.wood)
-    kind, look = (("SM_ChairWood_D", own.palette.wood), ("SM_ChairWaiting_E", own.palette.cover))[plan.pick(2)]
+    plan, rng = furnisher.plan, furnisher.rng
+    table = plan.props.model("SM_TableDining_E", furnisher.palette.wood)
+    kind, look = (("SM_ChairWood_D", furnisher.palette.wood), ("SM_ChairWaiting_E", furnisher.palette.cover))[
+        plan.pick(2)
+    ]
     for _ in range(14):
         margin = 1.5 if along_wall else 1.9
-        x = float(rng.uniform(own.area.x0 + margin, max(own.area.x1 - margin, own.area.x0 + margin)))
-        y = float(rng.uniform(own.area.y0 + margin, max(own.area.y1 - margin, own.area.y0 + margin)))
+        x = float(rng.uniform(furnisher.area.x0 + margin, max(furnisher.area.x1 - margin, furnisher.area.x0 + margin)))
+        y = float(rng.uniform(furnisher.area.y0 + margin, max(furnisher.area.y1 - margin, furnisher.area.y0 + margin)))
         if not along_wall:
-            x, y = 0.6 * own.area.centre[0] + 0.4 * x, 0.6 * own.area.centre[1] + 0.4 * y
-        yaw = 0.0 if own.area.width >= own.area.depth else math.pi / 2
-        found = plan.place(table, x, y, yaw, own.area, 0.75)
-        if found is not None:
-            _chairs(own, found, kind, look)
-            own.dress(found, _ON_TABLES, 3)
+            x, y = 0.6 * furnisher.area.centre[0] + 0.4 * x, 0.6 * furnisher.area.centre[1] + 0.4 * y
+        yaw = 0.0 if furnisher.area.width >= furnisher.area.depth else math.pi / 2
+        placed = plan.place(table, x, y, yaw, furnisher.area, 0.75)
+        if placed is not None:
+            _chairs(furnisher, placed, kind, look)
+            furnisher.dress(placed, _ON_TABLES, 3)
             if not along_wall:
-                own.carpet((x, y), *((2.6, 1.8) if yaw == 0.0 else (1.8, 2.6)), 1)
+                furnisher.carpet((x, y), *((2.6, 1.8) if yaw == 0.0 else (1.8, 2.6)), 1)
             return
 
 
-def _chairs(own: Furnisher, table: PropPlacement, kind: str, look: int) -> None:
+def _chairs(furnisher: Furnisher, table: PropPlacement, kind: str, look: int) -> None:
     """Places two chairs on each long side of a table, and one at its end."""
     c, s = math.cos(table.yaw), math.sin(table.yaw)
     half = float(table.model.high[1])
     seats = [(a, side * (half + 0.10), 0.0 if side > 0 else math.pi) for a in (-0.33, 0.33) for side in (-1, 1)]
     seats.append((float(table.model.high[0]) + 0.16, 0.0, -math.pi / 2))
     for a, b, turn in seats:
-        if own.rng.random() < 0.86:
+        if furnisher.rng.random() < 0.86:
             x, y = table.x + c * a - s * b, table.y + s * a + c * b
-            yaw = table.yaw + turn + float(own.rng.uniform(-0.15, 0.15))
-            own.plan.place(own.plan.props.model(kind, look), x, y, yaw, own.area, 0.0, True)
+            yaw = table.yaw + turn + float(furnisher.rng.uniform(-0.15, 0.15))
+            furnisher.plan.place(furnisher.plan.props.model(kind, look), x, y, yaw, furnisher.area, 0.0, True)
 
 
-def _kitchen(own: Furnisher) -> None:
+def _kitchen(furnisher: Furnisher) -> None:
     """Places a row of units with sink, oven, dishwasher and refrigerator, and an island or a table if it fits."""
-    plan, look = own.plan, own.palette.wood
-    sides = own.sides()
-    main = kitchen_row(own, sides, look, _UNITS, ("SM_Microwave", "SM_CoffeeMachine"))
+    plan, look = furnisher.plan, furnisher.palette.wood
+    sides = furnisher.sides()
+    main = kitchen_row(furnisher, sides, look=look, names=_UNITS, tops=("SM_Microwave", "SM_CoffeeMachine"))
     rest = "".join(side for side in sides if side != main)
     if main is None:
         for name in ("SM_SinkUnit", "SM_Oven", "SM_Dishwasher"):
-            own.wall_piece(name, look, clearance=0.02)
-    if own.wall_piece("SM_Refrigerator", None, rest, 0.05) is None:
-        own.wall_piece("SM_Refrigerator", None, clearance=0.0)
-    space = min(own.area.width, own.area.depth)
-    if own.rng.random() < 0.5 and space > 4.0:
-        plan.place(own.model("SM_CounterIsland", look), *own.area.centre, FACING[main or "N"], own.area, 0.9)
-    elif space > 3.3:
-        table = plan.place(own.model("SM_TableRound_C"), *own.area.centre, 0.0, own.area, 0.8)
-        for turn in (0.4, 3.5) if table is not None else ():
-            x, y = own.area.centre[0] + 0.55 * math.cos(turn), own.area.centre[1] + 0.55 * math.sin(turn)
-            plan.place(own.model("SM_ChairWood_D", look), x, y, turn - math.pi / 2, own.area, 0.0, True)
-        own.dress(table, _ON_TABLES, 1, 0.74)
-    own.small(("SM_TrashCan_A", "SM_Basket"), 0.3)
-    own.hang("SM_WallLedge")
-    own.hang("SM_PictureFrame")
-
-
-def _bedroom(own: Furnisher) -> None:
-    """Places a bed with its head at a wall, night stands, a wardrobe, a dresser, a lounge chair and a rug."""
-    plan, rng, look = own.plan, own.rng, own.palette.wood
-    variant = look + plan.pick(3)
-    tries = (own.wall_piece("SM_BedDouble", variant, clearance=free_m, gap=0.01) for free_m in (0.75, 0.4, 0.1))
-    found = next((bed for bed in tries if bed is not None), None)
-    if found is not None:
-        own.carpet(
-            (found.x, found.y), *((2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)), plan.pick(9) + 2
+            furnisher.wall_piece(name, look, clearance=0.02)
+    if furnisher.wall_piece("SM_Refrigerator", None, rest, 0.05) is None:
+        furnisher.wall_piece("SM_Refrigerator", None, clearance=0.0)
+    space = min(furnisher.area.width, furnisher.area.depth)
+    if furnisher.rng.random() < 0.5 and space > 4.0:
+        plan.place(
+            furnisher.model("SM_CounterIsland", look), *furnisher.area.centre, FACING[main or "N"], furnisher.area, 0.9
         )
-        half = float(found.model.high[0])
+    elif space > 3.3:
+        table = plan.place(furnisher.model("SM_TableRound_C"), *furnisher.area.centre, 0.0, furnisher.area, 0.8)
+        for turn in (0.4, 3.5) if table is not None else ():
+            x, y = furnisher.area.centre[0] + 0.55 * math.cos(turn), furnisher.area.centre[1] + 0.55 * math.sin(turn)
+            plan.place(furnisher.model("SM_ChairWood_D", look), x, y, turn - math.pi / 2, furnisher.area, 0.0, True)
+        furnisher.dress(table, _ON_TABLES, 1, 0.74)
+    furnisher.small(("SM_TrashCan_A", "SM_Basket"), 0.3)
+    furnisher.hang("SM_WallLedge")
+    furnisher.hang("SM_PictureFrame")
+
+
+def _bedroom(furnisher: Furnisher) -> None:
+    """Places a bed with its head at a wall, night stands, a wardrobe, a dresser, a lounge chair and a rug."""
+    plan, rng, look = furnisher.plan, furnisher.rng, furnisher.palette.wood
+    variant = look + plan.pick(3)
+    tries = (furnisher.wall_piece("SM_BedDouble", variant, clearance=free_m, gap=0.01) for free_m in (0.75, 0.4, 0.1))
+    bed_placed = next((bed for bed in tries if bed is not None), None)
+    if bed_placed is not None:
+        furnisher.carpet(
+            (bed_placed.x, bed_placed.y),
+            *((2.7, 1.5) if abs(math.cos(bed_placed.yaw)) > 0.5 else (1.5, 2.7)),
+            plan.pick(9) + 2,
+        )
+        half = float(bed_placed.model.high[0])
         for turn in (-1.0, 1.0):
-            stand = own.beside("SM_NightStand", look, found, turn * (half + 0.32), 0.02)
+            stand = furnisher.beside("SM_NightStand", look, bed_placed, turn * (half + 0.32), 0.02)
             if stand is not None and rng.random() < 0.7:
-                own.on_top("SM_LampSmall", look, stand, _top_of(stand), -0.08, 0.06)
-        size = (2.7, 1.5) if abs(math.cos(found.yaw)) > 0.5 else (1.5, 2.7)
-        own.carpet((found.x, found.y), *size, plan.pick(9) + 2)
-    if own.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
-        own.wall_piece("SM_Wardrobe", look, clearance=0.1)
-    own.dress(own.wall_piece("SM_Dresser", look, clearance=0.45), _ON_DRESSERS, 2)
+                furnisher.on_top("SM_LampSmall", look, below=stand, height=_top_of(stand), along=-0.08, back=0.06)
+        size = (2.7, 1.5) if abs(math.cos(bed_placed.yaw)) > 0.5 else (1.5, 2.7)
+        furnisher.carpet((bed_placed.x, bed_placed.y), *size, plan.pick(9) + 2)
+    if furnisher.wall_piece("SM_Wardrobe", look, clearance=0.5) is None:
+        furnisher.wall_piece("SM_Wardrobe", look, clearance=0.1)
+    furnisher.dress(furnisher.wall_piece("SM_Dresser", look, clearance=0.45), _ON_DRESSERS, 2)
     extra = ("SM_ChairLounge_G", "SM_Ottoman", "SM_Bench", "SM_ShelfBook_B")[plan.pick(4)]
-    own.wall_piece(extra, own.palette.cover, clearance=0.45)
-    own.small((("SM_Suitcase", "SM_Basket"), ("SM_Backpack", "SM_Basket"), ("SM_Mirror", "SM_Fan"))[plan.pick(3)], 0.3)
-    own.hang(("SM_Tapestry", "SM_WallLedge", "SM_PictureFrame")[plan.pick(3)])
-    own.hang("SM_PictureFrame", 2)
+    furnisher.wall_piece(extra, furnisher.palette.cover, clearance=0.45)
+    furnisher.small(
+        (("SM_Suitcase", "SM_Basket"), ("SM_Backpack", "SM_Basket"), ("SM_Mirror", "SM_Fan"))[plan.pick(3)], 0.3
+    )
+    furnisher.hang(("SM_Tapestry", "SM_WallLedge", "SM_PictureFrame")[plan.pick(3)])
+    furnisher.hang("SM_PictureFrame", 2)
 
 
 def _top_of(piece: PropPlacement) -> float:
@@ -229,57 +237,63 @@ def _top_of(piece: PropPlacement) -> float:
     return max(float(high[2]) for low, high in boxes if (high - low)[:2].prod() > _LEAST_TOP_M2)
 
 
-def _bath(own: Furnisher) -> None:
+def _bath(furnisher: Furnisher) -> None:
     """Places a bathtub, a toilet, a basin, a basket and a towel rail."""
-    plan = own.plan
-    own.wall_piece("SM_BathTub", plan.pick(3), clearance=0.2, gap=0.02)
-    own.wall_piece("SM_WashBasin", plan.pick(3), clearance=0.15, gap=0.0)
-    own.wall_piece("SM_Toilet", plan.pick(3), clearance=0.2, gap=0.0)
-    own.small(("SM_Basket", "SM_TrashCan_A"), 0.15)
-    own.carpet(own.area.centre, 0.9, 0.6, plan.pick(12))
-    own.hang("SM_TowelRail")
-    own.hang("SM_WallLedge")
+    plan = furnisher.plan
+    furnisher.wall_piece("SM_BathTub", plan.pick(3), clearance=0.2, gap=0.02)
+    furnisher.wall_piece("SM_WashBasin", plan.pick(3), clearance=0.15, gap=0.0)
+    furnisher.wall_piece("SM_Toilet", plan.pick(3), clearance=0.2, gap=0.0)
+    furnisher.small(("SM_Basket", "SM_TrashCan_A"), 0.15)
+    furnisher.carpet(furnisher.area.centre, 0.9, 0.6, plan.pick(12))
+    furnisher.hang("SM_TowelRail")
+    furnisher.hang("SM_WallLedge")
 
 
-def _study(own: Furnisher) -> None:
+def _study(furnisher: Furnisher) -> None:
     """Places a desk with a monitor and a chair, book cases and an arm chair."""
-    plan, look = own.plan, own.palette.wood
-    desk = own.wall_piece("SM_TableDesk_A", look, clearance=0.5, gap=0.05)
+    plan, look = furnisher.plan, furnisher.palette.wood
+    desk = furnisher.wall_piece("SM_TableDesk_A", look, clearance=0.5, gap=0.05)
     if desk is not None:
-        own.on_top("SM_Monitor_A", plan.pick(3), desk, 0.745)
-        own.on_top("SM_LampSmall", plan.pick(4), desk, 0.745, 0.5)
-        own.before("SM_ChairOffice_A", None, desk, 0.5)
+        furnisher.on_top("SM_Monitor_A", plan.pick(3), desk, 0.745)
+        furnisher.on_top("SM_LampSmall", plan.pick(4), below=desk, height=0.745, along=0.5)
+        furnisher.before("SM_ChairOffice_A", None, desk, 0.5)
     for number in range(2):
-        own.dress(own.wall_piece("SM_ShelfBook_B", look + number, clearance=0.3), ("SM_Globe", "SM_BookPile"), 1)
-    own.wall_piece("SM_ChairLounge_G", own.palette.cover, clearance=0.4)
-    own.small(("SM_TrashCan_A", "SM_Plant_A"), 0.4)
-    own.carpet(own.area.centre, 1.6, 1.2, 2)
-    own.hang("SM_WallLedge")
-    own.hang("SM_PictureFrame", 2)
+        furnisher.dress(
+            furnisher.wall_piece("SM_ShelfBook_B", look + number, clearance=0.3), ("SM_Globe", "SM_BookPile"), 1
+        )
+    furnisher.wall_piece("SM_ChairLounge_G", furnisher.palette.cover, clearance=0.4)
+    furnisher.small(("SM_TrashCan_A", "SM_Plant_A"), 0.4)
+    furnisher.carpet(furnisher.area.centre, 1.6, 1.2, 2)
+    furnisher.hang("SM_WallLedge")
+    furnisher.hang("SM_PictureFrame", 2)
 
 
-def _laundry(own: Furnisher) -> None:
+def _laundry(furnisher: Furnisher) -> None:
     """Places washing machines, a basket, a cabinet and a fan."""
-    plan = own.plan
-    first = own.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
+    plan = furnisher.plan
+    first = furnisher.wall_piece("SM_WashingMachine", plan.pick(3), clearance=0.05)
     if first is not None:
-        own.dress(first, ("SM_Flasks",), 1)
-        own.beside("SM_WashingMachine", plan.pick(3), first, 0.62, 0.02)
-    own.wall_piece("SM_Wardrobe", own.palette.wood + 1, clearance=0.3)
-    own.small(("SM_Basket", "SM_Basket", "SM_Fan"), 0.25)
+        furnisher.dress(first, ("SM_Flasks",), 1)
+        furnisher.beside("SM_WashingMachine", plan.pick(3), first, 0.62, 0.02)
+    furnisher.wall_piece("SM_Wardrobe", furnisher.palette.wood + 1, clearance=0.3)
+    furnisher.small(("SM_Basket", "SM_Basket", "SM_Fan"), 0.25)
 
 
-def _hall(own: Furnisher) -> None:
+def _hall(furnisher: Furnisher) -> None:
     """Places a bench, a mirror, bags and a plant along the walls of a hall whose middle stays free."""
-    plan = own.plan
-    own.small(("SM_Backpack", "SM_Suitcase", "SM_Vase")[plan.pick(2) :], 0.5)
-    if min(own.area.width, own.area.depth) > 1.9:
-        own.small(("SM_Mirror",), 0.5)
-    own.corner("SM_Plant_A")
-    length = 0.8 * max(own.area.width, own.area.depth)
-    own.carpet(own.area.centre, *((length, 0.8) if own.area.width > own.area.depth else (0.8, length)), plan.pick(12))
-    own.hang("SM_CoatHooks")
-    own.hang("SM_PictureFrame", 3)
+    plan = furnisher.plan
+    furnisher.small(("SM_Backpack", "SM_Suitcase", "SM_Vase")[plan.pick(2) :], 0.5)
+    if min(furnisher.area.width, furnisher.area.depth) > 1.9:
+        furnisher.small(("SM_Mirror",), 0.5)
+    furnisher.corner("SM_Plant_A")
+    length = 0.8 * max(furnisher.area.width, furnisher.area.depth)
+    furnisher.carpet(
+        furnisher.area.centre,
+        *((length, 0.8) if furnisher.area.width > furnisher.area.depth else (0.8, length)),
+        plan.pick(12),
+    )
+    furnisher.hang("SM_CoatHooks")
+    furnisher.hang("SM_PictureFrame", 3)
 
 
 _OPEN = {
@@ -302,10 +316,10 @@ def lay_out_home(plan: FloorPlan) -> None:
     building = BuildingLook(
         _looks(palette),
         palette.trim,
-        palette.leaf,
-        palette.ceiling,
-        palette.views,
-        float(plan.rng.choice((2.5, 2.6, 2.75, 2.9))),
+        leaf=palette.leaf,
+        ceiling=palette.ceiling,
+        views=palette.views,
+        height=float(plan.rng.choice((2.5, 2.6, 2.75, 2.9))),
     )
     furnish_home(plan, build_rooms(plan, division, building), palette)
 
@@ -333,7 +347,7 @@ def _divide(rng: Generator) -> Division:
     width = math.sqrt(area * ratio)
     outline = Rectangle(0.0, 0.0, width, area / width + (hall or 0.0))
     doors = Doors(float(rng.uniform(1.0, 1.15)), _OPEN, float(rng.uniform(0.3, 1.0)))
-    return divide_floor(rng, outline, specs, doors, straight_hall(hall) if hall else no_hall)
+    return divide_floor(rng, outline, specs=specs, doors=doors, scheme=straight_hall(hall) if hall else no_hall)
 
 
 def _looks(palette: Palette) -> dict[str, RoomLook]:

@@ -42,131 +42,135 @@ def furnish_hospital(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Palet
         "wash": _wash,
         "hall": _hall,
     }
-    own = [Furnisher(plan, room, palette, clutter) for room in rooms]
-    enter(own, ("reception", "hall", "waiting"), plan.pick(39))
-    for each in own:
+    furnishers = [Furnisher(plan, room, palette, clutter) for room in rooms]
+    enter(furnishers, ("reception", "hall", "waiting"), plan.pick(39))
+    for each in furnishers:
         kinds[each.room.kind](each)
         if each.room.kind in _SIGNED:
             _signs(each)
-    complete(plan, own, _EVERYWHERE, ("ward", "exam", "waiting", "reception", "nurses", "staff", "consulting", "hall"))
-    for each in own:
+    complete(
+        plan, furnishers, _EVERYWHERE, ("ward", "exam", "waiting", "reception", "nurses", "staff", "consulting", "hall")
+    )
+    for each in furnishers:
         each.hang_all()
 
 
-def _signs(own: Furnisher) -> None:
+def _signs(furnisher: Furnisher) -> None:
     """Mounts a lit sign above each door, on the outside of the room."""
-    for side, centres in own.room.doors.items():
+    for side, centres in furnisher.room.doors.items():
         for centre in centres:
             out = WALL_THICKNESS_M
-            x = {"W": own.area.x0 - out, "E": own.area.x1 + out}.get(side, centre)
-            y = {"S": own.area.y0 - out, "N": own.area.y1 + out}.get(side, centre)
-            own.plan.add(own.model("SM_Sign", 1), x, y, FACING[_OPPOSITE[side]], 0.06)
+            x = {"W": furnisher.area.x0 - out, "E": furnisher.area.x1 + out}.get(side, centre)
+            y = {"S": furnisher.area.y0 - out, "N": furnisher.area.y1 + out}.get(side, centre)
+            furnisher.plan.add(furnisher.model("SM_Sign", 1), x, y, FACING[_OPPOSITE[side]], 0.06)
 
 
-def _ward(own: Furnisher) -> None:
+def _ward(furnisher: Furnisher) -> None:
     """Places beds with their heads at one or two walls, curtains between them, visitors' seats, basin and cabinet."""
-    look = own.plan.pick(6)
-    sides = sorted(own.sides(), key=lambda side: (side in own.room.doors, side in own.room.outside))
-    beds = _bed_row(own, sides[0], look)
-    if beds < 2 or own.rng.random() < 0.35:
-        beds += _bed_row(own, sides[1], look)
+    look = furnisher.plan.pick(6)
+    sides = sorted(furnisher.sides(), key=lambda side: (side in furnisher.room.doors, side in furnisher.room.outside))
+    beds = _bed_row(furnisher, sides[0], look)
+    if beds < 2 or furnisher.rng.random() < 0.35:
+        beds += _bed_row(furnisher, sides[1], look)
     if beds == 0:
-        _beside_bed(own, own.wall_piece("SM_Bed", look, clearance=0.3, gap=_BED_GAP_M), look, 1.0)
-    own.wall_piece("SM_WashUnit", 0, clearance=0.3)
-    own.wall_piece("SM_Cabinet", own.plan.pick(2), clearance=0.3)
-    if own.rng.random() < 0.45:
-        own.wall_piece("SM_Whiteboard_A", clearance=0.25)
-    extra = ("SM_Stool_F", "SM_WheelChair", "SM_Trolley", "SM_ChairWood_D")[own.plan.pick(4)]
-    own.small(("SM_TrashCan_A", extra, "SM_Plant_A"), 0.4)
-    own.hang(("SM_Television", "SM_PictureFrame")[own.plan.pick(2)])
-    own.hang("SM_PictureFrame")
-    own.hang("SM_Poster")
+        _beside_bed(furnisher, furnisher.wall_piece("SM_Bed", look, clearance=0.3, gap=_BED_GAP_M), look, 1.0)
+    furnisher.wall_piece("SM_WashUnit", 0, clearance=0.3)
+    furnisher.wall_piece("SM_Cabinet", furnisher.plan.pick(2), clearance=0.3)
+    if furnisher.rng.random() < 0.45:
+        furnisher.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    extra = ("SM_Stool_F", "SM_WheelChair", "SM_Trolley", "SM_ChairWood_D")[furnisher.plan.pick(4)]
+    furnisher.small(("SM_TrashCan_A", extra, "SM_Plant_A"), 0.4)
+    furnisher.hang(("SM_Television", "SM_PictureFrame")[furnisher.plan.pick(2)])
+    furnisher.hang("SM_PictureFrame")
+    furnisher.hang("SM_Poster")
 
 
-def _bed_row(own: Furnisher, side: str, look: int) -> int:
+def _bed_row(furnisher: Furnisher, side: str, look: int) -> int:
     """Places beds side by side with their heads at a wall, and returns their number."""
-    rng, plan, count = own.rng, own.plan, 0
+    rng, plan, count = furnisher.rng, furnisher.plan, 0
     pitch = float(rng.uniform(2.0, 2.5))
-    places = max(1, int((own.length(side) - 0.6) // pitch))
-    bed = own.model("SM_Bed", look)
+    places = max(1, int((furnisher.length(side) - 0.6) // pitch))
+    bed = furnisher.model("SM_Bed", look)
     for place in range(places):
-        along = (place + 0.5) * own.length(side) / places
-        x, y = own.at_wall(side, along, float(bed.high[1]) + _BED_GAP_M)
-        model = own.model("SM_Bed", look + place)
+        along = (place + 0.5) * furnisher.length(side) / places
+        x, y = furnisher.at_wall(side, along, float(bed.high[1]) + _BED_GAP_M)
+        model = furnisher.model("SM_Bed", look + place)
         if plan.meets(model, x, y, FACING[side]):
             continue
-        found = plan.place(model, x, y, FACING[side], own.area, 0.35)
-        if found is None:
+        placed = plan.place(model, x, y, FACING[side], furnisher.area, 0.35)
+        if placed is None:
             continue
-        _beside_bed(own, found, look, 1.0 if place % 2 else -1.0)
+        _beside_bed(furnisher, placed, look, 1.0 if place % 2 else -1.0)
         if count and rng.random() < 0.7:
-            between = own.at_wall(side, along - own.length(side) / places / 2, 0.36)
-            plan.place(own.model("SM_Curtain", look), *between, FACING[side], own.area, 0.0)
+            between = furnisher.at_wall(side, along - furnisher.length(side) / places / 2, 0.36)
+            plan.place(furnisher.model("SM_Curtain", look), *between, FACING[side], furnisher.area, 0.0)
         count += 1
     return count
 
 
-def _beside_bed(own: Furnisher, bed: PropPlacement | None, look: int, turn: float) -> None:
+def _beside_bed(furnisher: Furnisher, bed: PropPlacement | None, look: int, turn: float) -> None:
     """Adds a service panel above a bed, a night stand, and in some cases an infusion stand and a visitor's chair."""
     if bed is None:
         return
-    plan, rng = own.plan, own.rng
+    plan, rng = furnisher.plan, furnisher.rng
     c, s, back = math.cos(bed.yaw), math.sin(bed.yaw), float(bed.model.high[1]) + _BED_GAP_M
     wall_x, wall_y = bed.x - s * (back - 0.065), bed.y + c * (back - 0.065)
-    plan.hang_at(own.model("SM_HeadPanel", 0), wall_x, wall_y, bed.yaw)
-    own.beside("SM_Nightstand", look, bed, turn * 0.78, 0.0)
+    plan.hang_at(furnisher.model("SM_HeadPanel", 0), wall_x, wall_y, bed.yaw)
+    furnisher.beside("SM_Nightstand", look, bed, turn * 0.78, 0.0)
     if rng.random() < 0.6:
-        own.beside("SM_DripStand", 0, bed, -turn * 0.74, 0.0)
+        furnisher.beside("SM_DripStand", 0, bed, -turn * 0.74, 0.0)
     if rng.random() < 0.75:
         shift, reach = turn * float(rng.uniform(0.95, 1.1)), float(rng.uniform(0.2, 0.9))
         x, y = bed.x + c * shift + s * reach, bed.y + s * shift - c * reach
         yaw = bed.yaw - turn * math.pi / 2 + float(rng.uniform(-0.3, 0.3))
         kind = (*_SEATS, "SM_ChairWood_D")[plan.pick(3)]
-        plan.place(own.model(kind), x, y, yaw, own.area, 0.04)
+        plan.place(furnisher.model(kind), x, y, yaw, furnisher.area, 0.04)
 
 
-def _exam(own: Furnisher) -> None:
+def _exam(furnisher: Furnisher) -> None:
     """Places a couch, a desk with a screen, a trolley, a basin, cabinets, stools and a board."""
-    plan = own.plan
-    bed = own.wall_piece("SM_Bed", plan.pick(6), clearance=0.4, gap=0.15)
-    if bed is not None and own.rng.random() < 0.5:
-        own.beside("SM_DripStand", 0, bed, 0.74, 0.0)
-    desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
-    workplace(own, desk, plan.pick(5))
-    own.wall_piece("SM_WashUnit", 0, clearance=0.25)
-    own.wall_piece("SM_Cabinet", plan.pick(2), clearance=0.25)
-    own.wall_piece("SM_Whiteboard_A", clearance=0.25)
-    own.small(("SM_Trolley", "SM_Stool_F", "SM_TrashCan_A", "SM_ChairVisitor_C", "SM_FireExtinguisher_02"), 0.4)
-    own.hang("SM_Poster", 2)
-    own.hang("SM_ClockWall")
+    plan = furnisher.plan
+    bed = furnisher.wall_piece("SM_Bed", plan.pick(6), clearance=0.4, gap=0.15)
+    if bed is not None and furnisher.rng.random() < 0.5:
+        furnisher.beside("SM_DripStand", 0, bed, 0.74, 0.0)
+    desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.4, gap=0.06)
+    workplace(furnisher, desk, plan.pick(5))
+    furnisher.wall_piece("SM_WashUnit", 0, clearance=0.25)
+    furnisher.wall_piece("SM_Cabinet", plan.pick(2), clearance=0.25)
+    furnisher.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    furnisher.small(("SM_Trolley", "SM_Stool_F", "SM_TrashCan_A", "SM_ChairVisitor_C", "SM_FireExtinguisher_02"), 0.4)
+    furnisher.hang("SM_Poster", 2)
+    furnisher.hang("SM_ClockWall")
 
 
-def _waiting(own: Furnisher) -> None:
+def _waiting(furnisher: Furnisher) -> None:
     """Places seats in rows, along the walls or in groups, a television, plants, machines and things for children."""
-    plan = own.plan
+    plan = furnisher.plan
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
-    has_rows = own.rng.random() < 0.65
-    (_seats_in_rows if has_rows else _seats_at_walls)(own, kind, look)
-    if own.rng.random() < 0.5:
-        seat_group(own, rug=plan.pick(3))
-    if own.rng.random() < 0.5:
-        own.wall_piece("SM_VendingMachine", clearance=0.3)
+    has_rows = furnisher.rng.random() < 0.65
+    (_seats_in_rows if has_rows else _seats_at_walls)(furnisher, kind, look)
+    if furnisher.rng.random() < 0.5:
+        seat_group(furnisher, rug=plan.pick(3))
+    if furnisher.rng.random() < 0.5:
+        furnisher.wall_piece("SM_VendingMachine", clearance=0.3)
     for share in () if has_rows else (0.3, 0.7):
-        x, y = own.area.x0 + share * own.area.width, own.area.y0 + share * own.area.depth
-        round_table(own, (x, y), kind, look)
-    own.wall_piece("SM_Whiteboard_A", clearance=0.3)
-    own.corner("SM_Plant_A")
-    own.corner("SM_Plant_A")
-    own.small(("SM_TrashCan_A", "SM_TrashCan_A", "SM_WaterDispenser", "SM_FireExtinguisher_02", "SM_ToyPile"), 0.45)
-    own.hang("SM_Television")
-    own.hang("SM_Poster", 2)
-    own.hang("SM_PictureFrame", 3)
-    own.hang("SM_ClockWall")
+        x, y = furnisher.area.x0 + share * furnisher.area.width, furnisher.area.y0 + share * furnisher.area.depth
+        round_table(furnisher, (x, y), kind, look)
+    furnisher.wall_piece("SM_Whiteboard_A", clearance=0.3)
+    furnisher.corner("SM_Plant_A")
+    furnisher.corner("SM_Plant_A")
+    furnisher.small(
+        ("SM_TrashCan_A", "SM_TrashCan_A", "SM_WaterDispenser", "SM_FireExtinguisher_02", "SM_ToyPile"), 0.45
+    )
+    furnisher.hang("SM_Television")
+    furnisher.hang("SM_Poster", 2)
+    furnisher.hang("SM_PictureFrame", 3)
+    furnisher.hang("SM_ClockWall")
 
 
-def _seats_in_rows(own: Furnisher, kind: str, look: int) -> None:
+def _seats_in_rows(furnisher: Furnisher, kind: str, look: int) -> None:
     """Places double rows of seats back to back in the middle, with aisles of at least 1.6 m."""
-    plan, area = own.plan, own.area
+    plan, area = furnisher.plan, furnisher.area
     is_along_x = area.width >= area.depth
     length, across = (area.width, area.depth) if is_along_x else (area.depth, area.width)
     seats = max(2, int((length - 3.2) // _SEAT_PITCH_M))
@@ -174,117 +178,127 @@ def _seats_in_rows(own: Furnisher, kind: str, look: int) -> None:
     for row in range(rows):
         for seat in range(seats):
             for side, yaw in ((-1, 0.0), (1, math.pi)):
-                if own.rng.random() < 0.1 or (seats > 6 and seat == seats // 2):
+                if furnisher.rng.random() < 0.1 or (seats > 6 and seat == seats // 2):
                     continue
                 u = length / 2 + (seat - (seats - 1) / 2) * _SEAT_PITCH_M
                 v = (row + 0.5) * across / rows + side * 0.34
                 x, y = (area.x0 + u, area.y0 + v) if is_along_x else (area.x0 + v, area.y0 + u)
-                variant = look if own.rng.random() < 0.85 else look + 1
-                plan.place(own.model(kind, variant), x, y, yaw if is_along_x else -yaw - math.pi / 2, area, 0.0)
+                variant = look if furnisher.rng.random() < 0.85 else look + 1
+                plan.place(furnisher.model(kind, variant), x, y, yaw if is_along_x else -yaw - math.pi / 2, area, 0.0)
 
 
-def _seats_at_walls(own: Furnisher, kind: str, look: int) -> None:
+def _seats_at_walls(furnisher: Furnisher, kind: str, look: int) -> None:
     """Places rows of seats along the walls around an open floor."""
-    for side in own.sides()[:3]:
-        count = max(2, int(own.length(side) * 0.55 // _SEAT_PITCH_M))
-        model = own.model(kind, look)
+    for side in furnisher.sides()[:3]:
+        count = max(2, int(furnisher.length(side) * 0.55 // _SEAT_PITCH_M))
+        model = furnisher.model(kind, look)
         for seat in range(count):
-            if own.rng.random() < 0.88:
-                along = own.length(side) / 2 + (seat - (count - 1) / 2) * _SEAT_PITCH_M
-                x, y = own.at_wall(side, along, float(model.high[1]) + 0.1)
-                own.plan.place(
-                    own.model(kind, look if own.rng.random() < 0.8 else look + 1), x, y, FACING[side], own.area, 0.0
+            if furnisher.rng.random() < 0.88:
+                along = furnisher.length(side) / 2 + (seat - (count - 1) / 2) * _SEAT_PITCH_M
+                x, y = furnisher.at_wall(side, along, float(model.high[1]) + 0.1)
+                furnisher.plan.place(
+                    furnisher.model(kind, look if furnisher.rng.random() < 0.8 else look + 1),
+                    x,
+                    y,
+                    FACING[side],
+                    furnisher.area,
+                    0.0,
                 )
 
 
-def _reception(own: Furnisher) -> None:
+def _reception(furnisher: Furnisher) -> None:
     """Places one or two counters, stools and cabinets behind them, and seats in front of them."""
-    plan, side = own.plan, own.sides()[0]
-    shares = (0.28, 0.72) if own.length(side) > 7.4 else (0.5,)
+    plan, side = furnisher.plan, furnisher.sides()[0]
+    shares = (0.28, 0.72) if furnisher.length(side) > 7.4 else (0.5,)
     variant = plan.pick(3)
     for share in shares:
-        x, y = own.at_wall(side, share * own.length(side), 1.75)
-        found = plan.place(own.model("SM_Reception", variant), x, y, FACING[side], own.area, 0.3)
-        if found is not None:
-            own.before("SM_ChairOffice_A", None, found, -0.75, 0.2, math.pi)
-            own.on_top("SM_Monitor_A", None, found, 0.74, -0.4, 0.05, math.pi)
+        x, y = furnisher.at_wall(side, share * furnisher.length(side), 1.75)
+        placed = plan.place(furnisher.model("SM_Reception", variant), x, y, FACING[side], furnisher.area, 0.3)
+        if placed is not None:
+            furnisher.before("SM_ChairOffice_A", None, of=placed, reach=-0.75, along=0.2, turn=math.pi)
+            furnisher.on_top("SM_Monitor_A", None, below=placed, height=0.74, along=-0.4, back=0.05, turn=math.pi)
     for _ in range(2):
-        own.wall_piece("SM_Cabinet", plan.pick(3), side, 0.02)
+        furnisher.wall_piece("SM_Cabinet", plan.pick(3), side, 0.02)
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
     for _ in range(3 + plan.pick(3)):
-        own.wall_piece(kind, look, None, 0.06, 0.1)
-    own.corner("SM_Plant_A")
-    own.small(("SM_TrashCan_A", "SM_FireExtinguisher_02", "SM_WaterDispenser", "SM_WheelChair", "SM_Plant_A"), 0.45)
-    own.hang("SM_ClockWall")
-    own.hang("SM_Poster", 2)
+        furnisher.wall_piece(kind, look, sides=None, clearance=0.06, gap=0.1)
+    furnisher.corner("SM_Plant_A")
+    furnisher.small(
+        ("SM_TrashCan_A", "SM_FireExtinguisher_02", "SM_WaterDispenser", "SM_WheelChair", "SM_Plant_A"), 0.45
+    )
+    furnisher.hang("SM_ClockWall")
+    furnisher.hang("SM_Poster", 2)
 
 
-def _nurses(own: Furnisher) -> None:
+def _nurses(furnisher: Furnisher) -> None:
     """Places desks with screens along the walls, a board, trolleys and cabinets."""
-    for _ in range(2 + own.plan.pick(2)):
-        desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
-        workplace(own, desk, own.palette.cover, is_second=True)
-    own.wall_piece("SM_Whiteboard_A", clearance=0.25)
-    own.wall_piece("SM_Cabinet", own.plan.pick(3), clearance=0.2)
-    own.small(("SM_Trolley", "SM_TrashCan_A", "SM_Trolley", "SM_Plant_A", "SM_FireExtinguisher_02"), 0.35)
-    own.hang("SM_ClockWall")
-    own.hang("SM_PinBoard")
+    for _ in range(2 + furnisher.plan.pick(2)):
+        desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.4, gap=0.06)
+        workplace(furnisher, desk, furnisher.palette.cover, is_second=True)
+    furnisher.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    furnisher.wall_piece("SM_Cabinet", furnisher.plan.pick(3), clearance=0.2)
+    furnisher.small(("SM_Trolley", "SM_TrashCan_A", "SM_Trolley", "SM_Plant_A", "SM_FireExtinguisher_02"), 0.35)
+    furnisher.hang("SM_ClockWall")
+    furnisher.hang("SM_PinBoard")
 
 
-def _staff(own: Furnisher) -> None:
+def _staff(furnisher: Furnisher) -> None:
     """Places a row of kitchen units, a round table, a sofa and lockers."""
-    kitchen_row(own, own.sides(), own.palette.wood, ("SM_SinkUnit", "SM_KitchenUnit", "SM_KitchenUnit"),
-                ("SM_CoffeeMachine", "SM_Microwave"))  # fmt: skip
-    own.wall_piece("SM_Locker", own.palette.cover, clearance=0.2)
-    table = round_table(own, own.area.centre, "SM_ChairWood_D", own.palette.wood)
-    own.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
-    own.wall_piece("SM_Sofa_A", own.palette.cover, clearance=0.4, gap=0.05)
-    own.small(("SM_TrashCan_A", "SM_Plant_A", "SM_CoatStand", "SM_Backpack"), 0.35)
-    own.hang("SM_PinBoard")
-    own.hang("SM_PictureFrame", 2)
+    units, machines = ("SM_SinkUnit", "SM_KitchenUnit", "SM_KitchenUnit"), ("SM_CoffeeMachine", "SM_Microwave")
+    kitchen_row(furnisher, furnisher.sides(), look=furnisher.palette.wood, names=units, tops=machines)
+    furnisher.wall_piece("SM_Locker", furnisher.palette.cover, clearance=0.2)
+    table = round_table(furnisher, furnisher.area.centre, "SM_ChairWood_D", furnisher.palette.wood)
+    furnisher.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
+    furnisher.wall_piece("SM_Sofa_A", furnisher.palette.cover, clearance=0.4, gap=0.05)
+    furnisher.small(("SM_TrashCan_A", "SM_Plant_A", "SM_CoatStand", "SM_Backpack"), 0.35)
+    furnisher.hang("SM_PinBoard")
+    furnisher.hang("SM_PictureFrame", 2)
 
 
-def _consulting(own: Furnisher) -> None:
+def _consulting(furnisher: Furnisher) -> None:
     """Places a doctor's desk with seats for visitors, a couch and shelves."""
-    desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.5, gap=0.06)
-    workplace(own, desk, own.palette.cover)
-    own.small(("SM_ChairVisitor_C", "SM_ChairVisitor_C", "SM_TrashCan_A", "SM_Plant_A", "SM_Stool_F"), 0.35)
-    own.wall_piece("SM_ShelfBook_B", own.palette.wood, clearance=0.25)
-    own.wall_piece("SM_WashUnit", 0, clearance=0.2)
-    own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3), ("SM_BookRow", "SM_Papers", "SM_Flasks"))
-    own.hang("SM_PictureFrame", 2)
-    own.hang("SM_Poster")
+    desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.5, gap=0.06)
+    workplace(furnisher, desk, furnisher.palette.cover)
+    furnisher.small(("SM_ChairVisitor_C", "SM_ChairVisitor_C", "SM_TrashCan_A", "SM_Plant_A", "SM_Stool_F"), 0.35)
+    furnisher.wall_piece("SM_ShelfBook_B", furnisher.palette.wood, clearance=0.25)
+    furnisher.wall_piece("SM_WashUnit", 0, clearance=0.2)
+    furnisher.dress(
+        furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, clearance=0.3),
+        ("SM_BookRow", "SM_Papers", "SM_Flasks"),
+    )
+    furnisher.hang("SM_PictureFrame", 2)
+    furnisher.hang("SM_Poster")
 
 
-def _store(own: Furnisher) -> None:
+def _store(furnisher: Furnisher) -> None:
     """Places steel shelves, cartons, wheelchairs and stands."""
-    for number in range(2 + own.plan.pick(2)):
-        own.wall_piece("SM_ShelfSteel_A", number, clearance=0.12)
-    own.small(("SM_WheelChair", "SM_CartonSingle", "SM_Trolley", "SM_CartonSingle", "SM_DripStand"), 0.25)
+    for number in range(2 + furnisher.plan.pick(2)):
+        furnisher.wall_piece("SM_ShelfSteel_A", number, clearance=0.12)
+    furnisher.small(("SM_WheelChair", "SM_CartonSingle", "SM_Trolley", "SM_CartonSingle", "SM_DripStand"), 0.25)
 
 
-def _wash(own: Furnisher) -> None:
+def _wash(furnisher: Furnisher) -> None:
     """Places toilets, basins and bins."""
     for _ in range(2):
-        own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
-        own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
-    own.small(("SM_TrashCan_A", "SM_TrashCan_A"), 0.3)
+        furnisher.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
+        furnisher.wall_piece("SM_WashBasin", furnisher.palette.cover, clearance=0.25, gap=0.0)
+    furnisher.small(("SM_TrashCan_A", "SM_TrashCan_A"), 0.3)
 
 
-def _hall(own: Furnisher) -> None:
+def _hall(furnisher: Furnisher) -> None:
     """Places extinguishers, bins, seats, trolleys and wheelchairs along the walls, and mounts notices and pictures."""
-    plan = own.plan
+    plan = furnisher.plan
     kind, look = _SEATS[plan.pick(2)], plan.pick(5)
     for _ in range(plan.pick(4)):
-        own.wall_piece(kind, look, None, 0.06, 0.1)
+        furnisher.wall_piece(kind, look, sides=None, clearance=0.06, gap=0.1)
     names = ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_WheelChair", "SM_Trolley", "SM_Bench", "SM_WaterDispenser"]
-    if max(own.area.width, own.area.depth) > 9.0:
+    if max(furnisher.area.width, furnisher.area.depth) > 9.0:
         names += ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_Plant_A"]
-    own.small(names, 0.55)
-    own.hang("SM_ClockWall")
-    own.hang("SM_Poster", 2)
-    own.hang("SM_PictureFrame", 2)
-    own.hang("SM_PinBoard")
+    furnisher.small(names, 0.55)
+    furnisher.hang("SM_ClockWall")
+    furnisher.hang("SM_Poster", 2)
+    furnisher.hang("SM_PictureFrame", 2)
+    furnisher.hang("SM_PinBoard")
 
 
 _CEILINGS = ("tiles", "tiles", "tiles", "panels", "plain")
@@ -306,7 +320,9 @@ def lay_out_hospital(plan: FloorPlan) -> None:
     """
     palette, rng = draw_palette(plan.rng, CLINIC), plan.rng
     ceiling, height = _CEILINGS[plan.pick(len(_CEILINGS))], float(rng.choice((2.7, 2.8, 3.0)))
-    building = BuildingLook(_looks(palette, plan), _trim(plan), palette.leaf, ceiling, palette.views, height)
+    building = BuildingLook(
+        _looks(palette, plan), _trim(plan), leaf=palette.leaf, ceiling=ceiling, views=palette.views, height=height
+    )
     rooms = build_rooms(plan, _divide(plan), building)
     if rng.random() < 0.6:
         _guide_lines(plan, rooms)
@@ -322,7 +338,9 @@ def _divide(plan: FloorPlan) -> Division:
     schemes = (spine_hall, t_hall, l_hall, l_hall, ring_hall, ring_hall)
     doors = Doors(float(rng.uniform(1.25, 1.45)), _OPEN, float(rng.uniform(0.2, 0.8)))
     scheme = schemes[plan.pick(len(schemes))](hall)
-    return turned(rng, divide_floor(rng, Rectangle(0.0, 0.0, width, area / width), specs, doors, scheme))
+    return turned(
+        rng, divide_floor(rng, Rectangle(0.0, 0.0, width, area / width), specs=specs, doors=doors, scheme=scheme)
+    )
 
 
 def _program(plan: FloorPlan) -> list[RoomSpec]:
@@ -356,7 +374,7 @@ def _trim(plan: FloorPlan) -> Trim:
         return Trim(skirting=skirting, frame=frame[plan.pick(5)])
     tint = _DADOS[plan.pick(len(_DADOS))]
     rail = (wood("Pale"), wood("Oak"), painted("LightGrey", 0.5), None)[plan.pick(4)]
-    dado = tinted("Plaster", f"DadoPlaster{tint[1:]}", tint, 1.0, 0.6)
+    dado = tinted("Plaster", f"DadoPlaster{tint[1:]}", colour=tint, tile_m=1.0, roughness=0.6)
     return Trim(rail, dado, float(plan.rng.choice((0.8, 1.0, 1.2))), skirting, frame=frame[plan.pick(5)])
 
 
@@ -366,7 +384,7 @@ def _looks(palette: Palette, plan: FloorPlan) -> dict[str, RoomLook]:
     dry = (palette.stone, palette.pile)[plan.pick(2)]
 
     def look(floor: SurfaceMaterial, number: int, windows: int) -> RoomLook:
-        return RoomLook(floor, paints[number], windows, None, window, pitch)
+        return RoomLook(floor, paints[number], windows=windows, curtain=None, window=window, window_pitch_m=pitch)
 
     return {
         "ward": look(palette.pile, 0, 2),
@@ -378,7 +396,7 @@ def _looks(palette: Palette, plan: FloorPlan) -> dict[str, RoomLook]:
         "consulting": look(palette.boards, 4, 1),
         "store": look(palette.stone, 5, 0),
         "wash": RoomLook(palette.stone, palette.tiles, 0),
-        HALL: RoomLook(palette.pile, paints[3], 4, None, window, max(pitch, 3.2)),
+        HALL: RoomLook(palette.pile, paints[3], windows=4, curtain=None, window=window, window_pitch_m=max(pitch, 3.2)),
     }
 
 

@@ -78,23 +78,23 @@ class _Frame(NamedTuple):
         return (0.0 if front < 0 else math.pi) if self.is_along_x else front * math.pi / 2
 
 
-def fill_with_racks(own: Furnisher, area: Rectangle, racks: RackPlan) -> int:
+def fill_with_racks(furnisher: Furnisher, area: Rectangle, racks: RackPlan) -> int:
     """Places the rows that fit into a part of the floor; returns their number."""
     frame = _Frame(area, racks.is_along_x)
-    rows = list(_rows(own, frame.size[1], racks))
+    rows = list(_rows(furnisher, frame.size[1], racks))
     for row in rows:
-        _fill_row(own, frame, row, racks)
+        _fill_row(furnisher, frame, row, racks)
     return len(rows)
 
 
-def _rows(own: Furnisher, width: float, racks: RackPlan) -> Iterator[_Row]:
+def _rows(furnisher: Furnisher, width: float, racks: RackPlan) -> Iterator[_Row]:
     """Yields the rows, spread evenly over the width; the two rows of a double row are back to back."""
     pitch = RACK_DEPTH_M + racks.aisle_m
     groups: list[tuple[str, bool]] = []
     used = 0.0
     while used + RACK_DEPTH_M < width:
         kind = racks.kinds[len(groups) % len(racks.kinds)]
-        is_double = bool(own.rng.random() < racks.double) and used + 2 * RACK_DEPTH_M + _BACK_M < width
+        is_double = bool(furnisher.rng.random() < racks.double) and used + 2 * RACK_DEPTH_M + _BACK_M < width
         groups.append((kind, is_double))
         used += pitch + (RACK_DEPTH_M + _BACK_M if is_double else 0.0)
     spare = width - (used - racks.aisle_m)
@@ -105,42 +105,45 @@ def _rows(own: Furnisher, width: float, racks: RackPlan) -> Iterator[_Row]:
             at += RACK_DEPTH_M + _BACK_M
             yield _Row(kind, at, 1)
         else:
-            yield _Row(kind, at, -1 if own.rng.random() < 0.5 else 1)
+            yield _Row(kind, at, -1 if furnisher.rng.random() < 0.5 else 1)
         at += pitch
 
 
-def _fill_row(own: Furnisher, frame: _Frame, row: _Row, racks: RackPlan) -> None:
+def _fill_row(furnisher: Furnisher, frame: _Frame, row: _Row, racks: RackPlan) -> None:
     """Places bays or shelf units between the cross aisles."""
-    length, plan = frame.size[0], own.plan
+    length, plan = frame.size[0], furnisher.plan
     pitch = BAY_M if row.kind == "rack" else SHELF_M
     marks = [0.0, *(share * length for share in racks.cross), length]
     for number, (low, high) in enumerate(pairwise(marks)):
         start = low + (_CROSS_M if number else 0.0)
         end = high - (_CROSS_M if number < len(marks) - 2 else 0.0)
         count = int((end - start) // pitch)
-        shorter = [count > 2 and bool(own.rng.random() < racks.ragged) for _ in range(2)]
+        shorter = [count > 2 and bool(furnisher.rng.random() < racks.ragged) for _ in range(2)]
         first = int(shorter[0]) if number == 0 else 0
         last = count - (int(shorter[1]) if number == len(marks) - 2 else 0)
         start += (end - start - count * pitch) / 2
         placed = []
         for slot in range(first, last):
-            if own.rng.random() < racks.filled:
+            if furnisher.rng.random() < racks.filled:
                 look = racks.frame % 3 + 3 * plan.pick(3) if row.kind == "rack" else racks.frame % 4 + 4 * plan.pick(2)
                 name = "SM_RackPile_04" if row.kind == "rack" else "SM_ShelfSteel_A"
                 x, y = frame.point(start + (slot + 0.5) * pitch, row.at)
-                if plan.place(own.model(name, look), x, y, frame.yaw(row.front), own.area, -0.05) is not None:
+                if (
+                    plan.place(furnisher.model(name, look), x, y, frame.yaw(row.front), furnisher.area, -0.05)
+                    is not None
+                ):
                     placed.append(slot)
         if placed:
-            _mark(own, frame, row, (start + placed[0] * pitch, start + (placed[-1] + 1) * pitch))
+            _mark(furnisher, frame, row, (start + placed[0] * pitch, start + (placed[-1] + 1) * pitch))
 
 
-def _mark(own: Furnisher, frame: _Frame, row: _Row, ends: tuple[float, float]) -> None:
+def _mark(furnisher: Furnisher, frame: _Frame, row: _Row, ends: tuple[float, float]) -> None:
     """Adds a yellow line before a row, hazard patches at its ends, and impact posts at the ends of racks."""
     edge = row.at + row.front * 0.58
-    marking(own.plan, frame.rectangle((ends[0] - 0.25, ends[1] + 0.25), (edge - 0.04, edge + 0.04)), _YELLOW)
+    marking(furnisher.plan, frame.rectangle((ends[0] - 0.25, ends[1] + 0.25), (edge - 0.04, edge + 0.04)), _YELLOW)
     for at in (ends[0] - 0.35, ends[1] + 0.25):
-        marking(own.plan, frame.rectangle((at, at + 0.1), (row.at - 0.4, row.at + 0.4)), _HAZARD)
+        marking(furnisher.plan, frame.rectangle((at, at + 0.1), (row.at - 0.4, row.at + 0.4)), _HAZARD)
     if row.kind == "rack":
-        post = own.model("SM_ImpactPost", 0)
+        post = furnisher.model("SM_ImpactPost", 0)
         for at in (ends[0] - 0.12, ends[1] + 0.12):
-            own.plan.place(post, *frame.point(at, row.at + row.front * 0.33), 0.0, own.area, -0.05)
+            furnisher.plan.place(post, *frame.point(at, row.at + row.front * 0.33), 0.0, furnisher.area, -0.05)

@@ -36,18 +36,23 @@ def lay_out_school(plan: FloorPlan) -> None:
     palette = draw_palette(plan.rng, PUBLIC)
     ceiling = ("panels", "panels", "plain", "boards")[plan.pick(4)]
     building = BuildingLook(
-        _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.8, 3.3))
+        _looks(palette),
+        palette.trim,
+        leaf=palette.leaf,
+        ceiling=ceiling,
+        views=palette.views,
+        height=float(plan.rng.uniform(2.8, 3.3)),
     )
     rooms = build_rooms(plan, _divide(plan), building)
     kinds = {
         "class": _class, "library": _library, "computing": _computing, "staff": _staff, "wash": _wash, "hall": _hall,
     }  # fmt: skip
-    own = [Furnisher(plan, room, palette) for room in rooms]
-    for each in own:
+    furnishers = [Furnisher(plan, room, palette) for room in rooms]
+    for each in furnishers:
         kinds[each.room.kind](each)
-    complete(plan, own, _IN_HALL, ("hall", "library"))
-    complete(plan, own, _IN_ROOMS, ("class", "library", "computing", "staff"))
-    for each in own:
+    complete(plan, furnishers, _IN_HALL, ("hall", "library"))
+    complete(plan, furnishers, _IN_ROOMS, ("class", "library", "computing", "staff"))
+    for each in furnishers:
         each.hang_all()
 
 
@@ -63,7 +68,9 @@ def _divide(plan: FloorPlan) -> Division:
     area, ratio = sum(spec.area_m2 for spec in specs), float(rng.uniform(1.3, 1.9))
     width = math.sqrt(area * ratio)
     doors = Doors(float(rng.uniform(1.15, 1.4)), {frozenset(("library", "hall")): (1.6, 2.4)}, 0.0)
-    return divide_floor(rng, Rectangle(0.0, 0.0, width, area / width + hall), specs, doors, straight_hall(hall))
+    return divide_floor(
+        rng, Rectangle(0.0, 0.0, width, area / width + hall), specs=specs, doors=doors, scheme=straight_hall(hall)
+    )
 
 
 def _looks(palette: Palette) -> dict[str, RoomLook]:
@@ -78,49 +85,51 @@ def _looks(palette: Palette) -> dict[str, RoomLook]:
     }
 
 
-def _class(own: Furnisher) -> None:
+def _class(furnisher: Furnisher) -> None:
     """Places a whiteboard and a teacher's desk at one wall, rows of pupils' desks that face it, shelves and bags."""
-    plan, rng = own.plan, own.rng
-    front = own.sides()[0]
-    board = own.wall_piece("SM_Whiteboard_A", None, front, 0.2)
-    depth = own.area.depth if front in "NS" else own.area.width
+    plan, rng = furnisher.plan, furnisher.rng
+    front = furnisher.sides()[0]
+    board = furnisher.wall_piece("SM_Whiteboard_A", None, front, 0.2)
+    depth = furnisher.area.depth if front in "NS" else furnisher.area.width
     along = float(rng.uniform(0.15, 0.85))
-    teacher = own.model("SM_TableTeacher_G", own.palette.wood)
-    x, y = own.at_wall(front, 0.8 + along * (own.length(front) - 1.6), 1.55)
-    desk = plan.place(teacher, x, y, FACING[_OPPOSITE[front]], own.area, 0.3)
+    teacher = furnisher.model("SM_TableTeacher_G", furnisher.palette.wood)
+    x, y = furnisher.at_wall(front, 0.8 + along * (furnisher.length(front) - 1.6), 1.55)
+    desk = plan.place(teacher, x, y, FACING[_OPPOSITE[front]], furnisher.area, 0.3)
     if desk is not None:
-        own.before("SM_ChairOffice_A", None, desk, -0.6)
-        own.on_top("SM_Laptop", None, desk, 0.76)
-        own.on_top(("SM_Globe", "SM_Papers", "SM_BookPile")[plan.pick(3)], None, desk, 0.76, 0.45)
+        furnisher.before("SM_ChairOffice_A", None, desk, -0.6)
+        furnisher.on_top("SM_Laptop", None, desk, 0.76)
+        furnisher.on_top(
+            ("SM_Globe", "SM_Papers", "SM_BookPile")[plan.pick(3)], None, below=desk, height=0.76, along=0.45
+        )
     if board is None:
-        own.wall_piece("SM_Whiteboard_A", clearance=0.2)
-    _desks(own, front, depth)
-    own.wall_piece("SM_ShelfBook_B", own.palette.wood, clearance=0.3)
-    own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3), _ON_CABINETS, 3)
-    own.small(("SM_TrashCan_A", "SM_Plant_A", "SM_Backpack"), 0.4)
-    own.hang("SM_ClockWall")
-    own.hang("SM_PinBoard", 1 + plan.pick(2))
-    own.hang("SM_WallMap", 2)
-    own.hang("SM_CardFrieze")
+        furnisher.wall_piece("SM_Whiteboard_A", clearance=0.2)
+    _desks(furnisher, front, depth)
+    furnisher.wall_piece("SM_ShelfBook_B", furnisher.palette.wood, clearance=0.3)
+    furnisher.dress(furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, clearance=0.3), _ON_CABINETS, 3)
+    furnisher.small(("SM_TrashCan_A", "SM_Plant_A", "SM_Backpack"), 0.4)
+    furnisher.hang("SM_ClockWall")
+    furnisher.hang("SM_PinBoard", 1 + plan.pick(2))
+    furnisher.hang("SM_WallMap", 2)
+    furnisher.hang("SM_CardFrieze")
 
 
-def _desks(own: Furnisher, front: str, depth: float) -> None:
+def _desks(furnisher: Furnisher, front: str, depth: float) -> None:
     """Places rows of desks for two pupils, each with two chairs, and aisles of at least 0.9 m."""
-    plan, rng = own.plan, own.rng
-    width = own.length(front)
+    plan, rng = furnisher.plan, furnisher.rng
+    width = furnisher.length(front)
     columns = max(1, int((width - 0.8) // 2.05))
     rows = max(1, int((depth - 3.1) // 1.7))
     look, chair_look = plan.pick(12), plan.pick(5)
     for column in range(columns):
         for row in range(rows):
             along = (column + 0.5) * width / columns
-            x, y = own.at_wall(front, along, 3.2 + 1.7 * row)
+            x, y = furnisher.at_wall(front, along, 3.2 + 1.7 * row)
             yaw = FACING[_OPPOSITE[front]] + math.pi
-            desk = plan.place(own.model("SM_TablePupil_F", look), x, y, yaw, own.area, 0.3)
+            desk = plan.place(furnisher.model("SM_TablePupil_F", look), x, y, yaw, furnisher.area, 0.3)
             if desk is None:
                 continue
             if rng.random() < 0.35:
-                own.on_top(("SM_Papers", "SM_BookPile")[plan.pick(2)], None, desk, 0.72, 0.3)
+                furnisher.on_top(("SM_Papers", "SM_BookPile")[plan.pick(2)], None, below=desk, height=0.72, along=0.3)
             for shift in (-0.3, 0.3):
                 if rng.random() < 0.88:
                     seat = (
@@ -128,82 +137,98 @@ def _desks(own: Furnisher, front: str, depth: float) -> None:
                         y - 0.42 * math.cos(yaw) + shift * math.sin(yaw),
                     )
                     turn = yaw + math.pi + float(rng.uniform(-0.15, 0.15))
-                    plan.place(own.model("SM_ChairWaiting_E", chair_look), *seat, turn, own.area, 0.0, True)
+                    plan.place(furnisher.model("SM_ChairWaiting_E", chair_look), *seat, turn, furnisher.area, 0.0, True)
 
 
-def _library(own: Furnisher) -> None:
+def _library(furnisher: Furnisher) -> None:
     """Places book cases along the walls, a reading table, lounge chairs and a floor lamp."""
     for number in range(6):
-        own.wall_piece("SM_ShelfBook_B", own.palette.wood + 4 * number, clearance=0.12)
-    table = own.plan.place(own.model("SM_TableMeeting_B", own.palette.wood), *own.area.centre, 0.0, own.area, 0.8)
+        furnisher.wall_piece("SM_ShelfBook_B", furnisher.palette.wood + 4 * number, clearance=0.12)
+    table = furnisher.plan.place(
+        furnisher.model("SM_TableMeeting_B", furnisher.palette.wood), *furnisher.area.centre, 0.0, furnisher.area, 0.8
+    )
     if table is not None:
         for side, shift in ((1.0, -0.4), (1.0, 0.4), (-1.0, 0.0)):
             yaw = 0.0 if side > 0 else math.pi
             x, y = table.x + shift, table.y + side * 0.55
-            own.plan.place(own.model("SM_ChairWood_D", own.palette.wood), x, y, yaw, own.area, 0.0, True)
-        own.on_top("SM_Laptop", None, table, 0.75, 0.5)
-        own.on_top("SM_Monitor_A", None, table, 0.75, -0.45)
-    own.carpet((own.area.x0 + 0.3 * own.area.width, own.area.y0 + 0.3 * own.area.depth), 2.2, 2.2)
+            furnisher.plan.place(
+                furnisher.model("SM_ChairWood_D", furnisher.palette.wood), x, y, yaw, furnisher.area, 0.0, True
+            )
+        furnisher.on_top("SM_Laptop", None, below=table, height=0.75, along=0.5)
+        furnisher.on_top("SM_Monitor_A", None, below=table, height=0.75, along=-0.45)
+    furnisher.carpet(
+        (furnisher.area.x0 + 0.3 * furnisher.area.width, furnisher.area.y0 + 0.3 * furnisher.area.depth), 2.2, 2.2
+    )
     for _ in range(2):
-        own.wall_piece("SM_ChairLounge_G", own.palette.cover, clearance=0.4)
-    own.corner("SM_LampFloor")
-    own.corner("SM_Plant_A")
-    own.small(("SM_Ottoman", "SM_TrashCan_A"), 0.4)
-    own.hang("SM_WallMap")
+        furnisher.wall_piece("SM_ChairLounge_G", furnisher.palette.cover, clearance=0.4)
+    furnisher.corner("SM_LampFloor")
+    furnisher.corner("SM_Plant_A")
+    furnisher.small(("SM_Ottoman", "SM_TrashCan_A"), 0.4)
+    furnisher.hang("SM_WallMap")
 
 
-def _computing(own: Furnisher) -> None:
+def _computing(furnisher: Furnisher) -> None:
     """Places desks with screens and computers along the walls, a copier and a whiteboard."""
-    own.wall_piece("SM_Whiteboard_A", clearance=0.2)
+    furnisher.wall_piece("SM_Whiteboard_A", clearance=0.2)
     for _ in range(6):
-        desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.25, gap=0.05)
+        desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.25, gap=0.05)
         if desk is not None:
-            own.on_top("SM_Monitor_A", None, desk, 0.745)
-            own.before("SM_ChairOffice_A", own.palette.cover, desk, 0.55)
-    own.small(("SM_Copier", "SM_ComputerCase", "SM_ComputerCase", "SM_Fan", "SM_TrashCan_A"), 0.35)
+            furnisher.on_top("SM_Monitor_A", None, desk, 0.745)
+            furnisher.before("SM_ChairOffice_A", furnisher.palette.cover, desk, 0.55)
+    furnisher.small(("SM_Copier", "SM_ComputerCase", "SM_ComputerCase", "SM_Fan", "SM_TrashCan_A"), 0.35)
 
 
-def _staff(own: Furnisher) -> None:
+def _staff(furnisher: Furnisher) -> None:
     """Places a table with chairs, a sofa, a copier, a kitchen unit with a coffee machine and lockers."""
-    unit = own.wall_piece("SM_KitchenUnit", own.palette.wood, clearance=0.1)
+    unit = furnisher.wall_piece("SM_KitchenUnit", furnisher.palette.wood, clearance=0.1)
     if unit is not None:
-        own.on_top("SM_CoffeeMachine", None, unit, 0.90)
-    own.wall_piece("SM_Sofa_A", own.palette.cover, clearance=0.4)
-    table = own.plan.place(own.model("SM_TableRound_C"), *own.area.centre, 0.0, own.area, 0.7)
+        furnisher.on_top("SM_CoffeeMachine", None, unit, 0.90)
+    furnisher.wall_piece("SM_Sofa_A", furnisher.palette.cover, clearance=0.4)
+    table = furnisher.plan.place(furnisher.model("SM_TableRound_C"), *furnisher.area.centre, 0.0, furnisher.area, 0.7)
     for turn in (0.4, 2.5, 4.6) if table is not None else ():
-        x, y = own.area.centre[0] + 0.6 * math.cos(turn), own.area.centre[1] + 0.6 * math.sin(turn)
-        own.plan.place(own.model("SM_ChairWood_D", own.palette.wood), x, y, turn - math.pi / 2, own.area, 0.0, True)
-    own.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
-    desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.05)
+        x, y = furnisher.area.centre[0] + 0.6 * math.cos(turn), furnisher.area.centre[1] + 0.6 * math.sin(turn)
+        furnisher.plan.place(
+            furnisher.model("SM_ChairWood_D", furnisher.palette.wood),
+            x,
+            y,
+            turn - math.pi / 2,
+            furnisher.area,
+            0.0,
+            True,
+        )
+    furnisher.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
+    desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.4, gap=0.05)
     if desk is not None:
-        own.on_top("SM_Monitor_A", None, desk, 0.745)
-        own.on_top(("SM_Papers", "SM_BookPile")[own.plan.pick(2)], None, desk, 0.745, 0.42)
-        own.before("SM_ChairOffice_A", None, desk, 0.5)
-    own.wall_piece("SM_Locker", clearance=0.2)
-    own.small(("SM_Copier", "SM_WaterDispenser", "SM_TrashCan_A", "SM_Plant_A"), 0.35)
-    own.carpet(own.area.centre, 2.2, 1.8, 1)
-    own.hang("SM_CoatHooks")
-    own.hang("SM_WallLedge")
-    own.hang("SM_PictureFrame", 3)
+        furnisher.on_top("SM_Monitor_A", None, desk, 0.745)
+        furnisher.on_top(
+            ("SM_Papers", "SM_BookPile")[furnisher.plan.pick(2)], None, below=desk, height=0.745, along=0.42
+        )
+        furnisher.before("SM_ChairOffice_A", None, desk, 0.5)
+    furnisher.wall_piece("SM_Locker", clearance=0.2)
+    furnisher.small(("SM_Copier", "SM_WaterDispenser", "SM_TrashCan_A", "SM_Plant_A"), 0.35)
+    furnisher.carpet(furnisher.area.centre, 2.2, 1.8, 1)
+    furnisher.hang("SM_CoatHooks")
+    furnisher.hang("SM_WallLedge")
+    furnisher.hang("SM_PictureFrame", 3)
 
 
-def _wash(own: Furnisher) -> None:
+def _wash(furnisher: Furnisher) -> None:
     """Places basins, toilets and a bin."""
     for _ in range(2):
-        own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
-        own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
-    own.small(("SM_TrashCan_A",), 0.3)
+        furnisher.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
+        furnisher.wall_piece("SM_WashBasin", furnisher.palette.cover, clearance=0.25, gap=0.0)
+    furnisher.small(("SM_TrashCan_A",), 0.3)
 
 
-def _hall(own: Furnisher) -> None:
+def _hall(furnisher: Furnisher) -> None:
     """Places lockers, benches, bags, a bicycle, a vending machine, cones and extinguishers."""
     for number in range(4):
-        own.wall_piece("SM_Locker", own.palette.cover, ("NS", "SN")[number % 2], clearance=0.25)
-    own.wall_piece("SM_VendingMachine", clearance=0.4)
-    own.wall_piece("SM_Bench", own.palette.wood, clearance=0.4)
-    own.wall_piece("SM_Bench", own.palette.wood, clearance=0.4)
-    own.wall_piece("SM_Bicycle", clearance=0.3, gap=0.1)
-    own.small(
+        furnisher.wall_piece("SM_Locker", furnisher.palette.cover, ("NS", "SN")[number % 2], clearance=0.25)
+    furnisher.wall_piece("SM_VendingMachine", clearance=0.4)
+    furnisher.wall_piece("SM_Bench", furnisher.palette.wood, clearance=0.4)
+    furnisher.wall_piece("SM_Bench", furnisher.palette.wood, clearance=0.4)
+    furnisher.wall_piece("SM_Bicycle", clearance=0.3, gap=0.1)
+    furnisher.small(
         (
             "SM_Backpack",
             "SM_Backpack",
@@ -214,7 +239,7 @@ def _hall(own: Furnisher) -> None:
         ),
         0.45,
     )
-    own.hang("SM_ClockWall")
-    own.hang("SM_PinBoard", 2)
-    own.hang("SM_CoatHooks", 2)
-    own.hang("SM_WallMap", 2)
+    furnisher.hang("SM_ClockWall")
+    furnisher.hang("SM_PinBoard", 2)
+    furnisher.hang("SM_CoatHooks", 2)
+    furnisher.hang("SM_WallMap", 2)

@@ -45,17 +45,22 @@ def lay_out_shop(plan: FloorPlan) -> None:
     trade = tuple(_GOODS)[plan.pick(3)]
     ceiling = ("panels", "panels", "boards", "beams")[plan.pick(4)]
     building = BuildingLook(
-        _looks(palette), palette.trim, palette.leaf, ceiling, palette.views, float(plan.rng.uniform(2.9, 3.4))
+        _looks(palette),
+        palette.trim,
+        leaf=palette.leaf,
+        ceiling=ceiling,
+        views=palette.views,
+        height=float(plan.rng.uniform(2.9, 3.4)),
     )
     rooms = build_rooms(plan, _divide(plan), building)
-    own = [Furnisher(plan, room, palette) for room in rooms]
-    for each in own:
+    furnishers = [Furnisher(plan, room, palette) for room in rooms]
+    for each in furnishers:
         {"sales": _sales, "annex": _annex, "store": _store, "office": _office, "wash": _wash}[each.room.kind](
             each, trade
         )
-    complete(plan, own, _ON_SALE, ("sales", "annex"))
-    complete(plan, own, _STORED, ("store", "sales"))
-    for each in own:
+    complete(plan, furnishers, _ON_SALE, ("sales", "annex"))
+    complete(plan, furnishers, _STORED, ("store", "sales"))
+    for each in furnishers:
         each.hang_all()
 
 
@@ -85,51 +90,55 @@ def _looks(palette: Palette) -> dict[str, RoomLook]:
     }
 
 
-def _sales(own: Furnisher, trade: str) -> None:
+def _sales(furnisher: Furnisher, trade: str) -> None:
     """Places checkouts near a wall, cold cases along the walls, rows of goods in the middle, carts and baskets."""
-    plan = own.plan
+    plan = furnisher.plan
     for name in ("SM_FreezerUpright", "SM_ClothesRail"):
-        own.wall_piece(name, own.palette.cover, clearance=0.3, gap=0.1)
-    for _ in range(2 if own.area.width * own.area.depth > 95 else 1):
-        found = own.wall_piece("SM_CounterCheckout", None, clearance=0.9, gap=1.0)
-        if found is not None:
-            own.before("SM_Stool_F", 0, found, -0.62)
+        furnisher.wall_piece(name, furnisher.palette.cover, clearance=0.3, gap=0.1)
+    for _ in range(2 if furnisher.area.width * furnisher.area.depth > 95 else 1):
+        counter = furnisher.wall_piece("SM_CounterCheckout", None, clearance=0.9, gap=1.0)
+        if counter is not None:
+            furnisher.before("SM_Stool_F", 0, counter, -0.62)
     if trade == "grocery":
         for _ in range(4):
-            own.wall_piece("SM_FreezerUpright", own.palette.cover, clearance=0.02)
-    own.wall_piece("SM_VendingMachine", clearance=0.2)
-    own.wall_piece("SM_ShelfShop_C", own.palette.wood, clearance=0.05)
-    _rows(own, trade)
-    own.small(("SM_Cart", "SM_Cart", "SM_Basket", "SM_TrashCan_A", "SM_Plant_A", "SM_StepLadder"), 0.4)
+            furnisher.wall_piece("SM_FreezerUpright", furnisher.palette.cover, clearance=0.02)
+    furnisher.wall_piece("SM_VendingMachine", clearance=0.2)
+    furnisher.wall_piece("SM_ShelfShop_C", furnisher.palette.wood, clearance=0.05)
+    _rows(furnisher, trade)
+    furnisher.small(("SM_Cart", "SM_Cart", "SM_Basket", "SM_TrashCan_A", "SM_Plant_A", "SM_StepLadder"), 0.4)
     if trade == "clothes":
         for _ in range(3):
-            own.wall_piece("SM_Mannequin", clearance=0.4, gap=0.2)
-        own.small(("SM_Mirror", "SM_Mirror", "SM_Bench"), 0.5)
+            furnisher.wall_piece("SM_Mannequin", clearance=0.4, gap=0.2)
+        furnisher.small(("SM_Mirror", "SM_Mirror", "SM_Bench"), 0.5)
     for _ in range(2):
-        own.wall_piece("SM_ShelfShop_C", own.palette.wood, clearance=0.05)
-    own.hang("SM_OfferPlate", 5)
-    own.hang("SM_PictureFrame", 2)
-    own.hang("SM_ClockWall")
-    _decorate(own)
-    plan.top_up("SM_FireExtinguisher_02", 2, [own.area], "NESW")
+        furnisher.wall_piece("SM_ShelfShop_C", furnisher.palette.wood, clearance=0.05)
+    furnisher.hang("SM_OfferPlate", 5)
+    furnisher.hang("SM_PictureFrame", 2)
+    furnisher.hang("SM_ClockWall")
+    _decorate(furnisher)
+    plan.top_up("SM_FireExtinguisher_02", 2, [furnisher.area], "NESW")
 
 
-def _decorate(own: Furnisher) -> None:
+def _decorate(furnisher: Furnisher) -> None:
     """Hangs lines with pennants below the ceiling in half of the shops, and lays a mat."""
-    if own.rng.random() < 0.5:
-        look, yaw = own.plan.pick(6), 0.0 if own.area.width > own.area.depth else math.pi / 2
+    if furnisher.rng.random() < 0.5:
+        look, yaw = furnisher.plan.pick(6), 0.0 if furnisher.area.width > furnisher.area.depth else math.pi / 2
         for share in (0.25, 0.5, 0.75):
-            x = own.area.x0 + (share if yaw else 0.5) * own.area.width
-            y = own.area.y0 + (0.5 if yaw else share) * own.area.depth
-            own.plan.add(own.model("SM_Pennants", look), x, y, yaw)
-    side = next(iter(own.room.doors), "S")
-    along = own.room.doors[side][0] - (own.area.x0 if side in "NS" else own.area.y0) if own.room.doors else 2.0
-    own.carpet(own.at_wall(side, along, 0.7), 1.2, 1.2)
+            x = furnisher.area.x0 + (share if yaw else 0.5) * furnisher.area.width
+            y = furnisher.area.y0 + (0.5 if yaw else share) * furnisher.area.depth
+            furnisher.plan.add(furnisher.model("SM_Pennants", look), x, y, yaw)
+    side = next(iter(furnisher.room.doors), "S")
+    along = (
+        furnisher.room.doors[side][0] - (furnisher.area.x0 if side in "NS" else furnisher.area.y0)
+        if furnisher.room.doors
+        else 2.0
+    )
+    furnisher.carpet(furnisher.at_wall(side, along, 0.7), 1.2, 1.2)
 
 
-def _rows(own: Furnisher, trade: str) -> None:
+def _rows(furnisher: Furnisher, trade: str) -> None:
     """Places rows of goods along one side, with aisles of 1.5 to 2.1 m. Rows of more than 8 m have a cross aisle."""
-    plan, rng, area = own.plan, own.rng, own.area
+    plan, rng, area = furnisher.plan, furnisher.rng, furnisher.area
     is_along_x = bool(rng.random() < (0.7 if area.width > area.depth else 0.3))
     length, depth = (area.width, area.depth) if is_along_x else (area.depth, area.width)
     kinds, margin, aisle = _GOODS[trade], float(rng.uniform(1.7, 2.1)), float(rng.uniform(*_AISLE_M))
@@ -139,7 +148,7 @@ def _rows(own: Furnisher, trade: str) -> None:
         look, u = plan.pick(6), margin
         gap = float(rng.uniform(0.35, 0.65)) * length
         while u < length - margin:
-            model = own.model(kind, 3 + look % 3 if kind == "SM_ShelfShop_C" else look)
+            model = furnisher.model(kind, 3 + look % 3 if kind == "SM_ShelfShop_C" else look)
             width = float(model.high[0] - model.low[0])
             is_cross_aisle = length > 8.0 and gap - 0.8 < u + width / 2 < gap + 0.8
             if u + width < length - margin and not is_cross_aisle:
@@ -149,59 +158,66 @@ def _rows(own: Furnisher, trade: str) -> None:
         row, v = row + 1, v + 0.85 + aisle
 
 
-def _annex(own: Furnisher, trade: str) -> None:
+def _annex(furnisher: Furnisher, trade: str) -> None:
     """Furnishes a second sales room: with clothes rails in a clothes shop, otherwise with a coffee corner."""
     if trade == "clothes":
         for _ in range(4):
-            own.wall_piece("SM_ClothesRail", clearance=0.5, gap=0.15)
-        own.small(("SM_Mirror", "SM_Bench"), 0.5)
+            furnisher.wall_piece("SM_ClothesRail", clearance=0.5, gap=0.15)
+        furnisher.small(("SM_Mirror", "SM_Bench"), 0.5)
     else:
-        table = own.plan.place(own.model("SM_TableRound_C"), *own.area.centre, 0.0, own.area, 0.8)
+        table = furnisher.plan.place(
+            furnisher.model("SM_TableRound_C"), *furnisher.area.centre, 0.0, furnisher.area, 0.8
+        )
         for turn in (0.4, 2.5, 4.6) if table is not None else ():
-            x, y = own.area.centre[0] + 0.6 * math.cos(turn), own.area.centre[1] + 0.6 * math.sin(turn)
-            chair = own.model("SM_ChairWaiting_E", own.palette.cover)
-            own.plan.place(chair, x, y, turn - math.pi / 2, own.area, 0.0, True)
-        own.dress(table, ("SM_Crockery", "SM_Bouquet", "SM_Tray"), 1, 0.74)
-        own.carpet(own.area.centre, 2.4, 2.4, 1)
-        counter = own.wall_piece("SM_CounterIsland", clearance=0.6)
+            x, y = furnisher.area.centre[0] + 0.6 * math.cos(turn), furnisher.area.centre[1] + 0.6 * math.sin(turn)
+            chair = furnisher.model("SM_ChairWaiting_E", furnisher.palette.cover)
+            furnisher.plan.place(chair, x, y, turn - math.pi / 2, furnisher.area, 0.0, True)
+        furnisher.dress(table, ("SM_Crockery", "SM_Bouquet", "SM_Tray"), 1, 0.74)
+        furnisher.carpet(furnisher.area.centre, 2.4, 2.4, 1)
+        counter = furnisher.wall_piece("SM_CounterIsland", clearance=0.6)
         if counter is not None:
-            own.on_top("SM_CoffeeMachine", None, counter, 0.92, 0.3)
-        own.wall_piece("SM_FreezerUpright", own.palette.cover, clearance=0.1)
+            furnisher.on_top("SM_CoffeeMachine", None, below=counter, height=0.92, along=0.3)
+        furnisher.wall_piece("SM_FreezerUpright", furnisher.palette.cover, clearance=0.1)
     for _ in range(2):
-        own.wall_piece("SM_ShelfShop_C", own.palette.wood, clearance=0.1)
-    own.wall_piece("SM_VendingMachine", clearance=0.3)
-    own.corner("SM_Plant_A")
-    own.small(("SM_TrashCan_A", "SM_Mannequin"), 0.5)
-    own.hang("SM_OfferPlate", 2)
-    own.hang("SM_PictureFrame", 3)
+        furnisher.wall_piece("SM_ShelfShop_C", furnisher.palette.wood, clearance=0.1)
+    furnisher.wall_piece("SM_VendingMachine", clearance=0.3)
+    furnisher.corner("SM_Plant_A")
+    furnisher.small(("SM_TrashCan_A", "SM_Mannequin"), 0.5)
+    furnisher.hang("SM_OfferPlate", 2)
+    furnisher.hang("SM_PictureFrame", 3)
 
 
-def _store(own: Furnisher, _trade: str) -> None:
+def _store(furnisher: Furnisher, _trade: str) -> None:
     """Places steel shelves, cartons, crates, a ladder and a trolley."""
     for number in range(3):
-        own.wall_piece("SM_ShelfSteel_A", number, clearance=0.1)
-    own.small(
+        furnisher.wall_piece("SM_ShelfSteel_A", number, clearance=0.1)
+    furnisher.small(
         ("SM_CartonSingle", "SM_CartonSingle", "SM_CratePlastic_A", "SM_StepLadder", "SM_Cart", "SM_CartonSingle"), 0.3
     )
-    own.wall_piece("SM_Locker", clearance=0.2)
+    furnisher.wall_piece("SM_Locker", clearance=0.2)
 
 
-def _office(own: Furnisher, _trade: str) -> None:
+def _office(furnisher: Furnisher, _trade: str) -> None:
     """Places a desk with a monitor, a chair, a book case, a copier and a cabinet."""
-    desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.5, gap=0.05)
+    desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.5, gap=0.05)
     if desk is not None:
-        own.on_top("SM_Monitor_A", None, desk, 0.745)
-        own.before("SM_ChairOffice_A", None, desk, 0.5)
-        own.on_top(("SM_Papers", "SM_Portrait")[own.plan.pick(2)], None, desk, 0.745, 0.42)
-    own.dress(own.wall_piece("SM_Sideboard", own.palette.wood, clearance=0.3), ("SM_Papers", "SM_BookRow", "SM_Kettle"))
-    own.small(("SM_Copier", "SM_WaterDispenser", "SM_Plant_A", "SM_TrashCan_A"), 0.4)
-    own.hang("SM_CoatHooks")
-    own.hang("SM_WallLedge")
-    own.hang("SM_PictureFrame", 2)
+        furnisher.on_top("SM_Monitor_A", None, desk, 0.745)
+        furnisher.before("SM_ChairOffice_A", None, desk, 0.5)
+        furnisher.on_top(
+            ("SM_Papers", "SM_Portrait")[furnisher.plan.pick(2)], None, below=desk, height=0.745, along=0.42
+        )
+    furnisher.dress(
+        furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, clearance=0.3),
+        ("SM_Papers", "SM_BookRow", "SM_Kettle"),
+    )
+    furnisher.small(("SM_Copier", "SM_WaterDispenser", "SM_Plant_A", "SM_TrashCan_A"), 0.4)
+    furnisher.hang("SM_CoatHooks")
+    furnisher.hang("SM_WallLedge")
+    furnisher.hang("SM_PictureFrame", 2)
 
 
-def _wash(own: Furnisher, _trade: str) -> None:
+def _wash(furnisher: Furnisher, _trade: str) -> None:
     """Places a toilet, a basin and a basket."""
-    own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
-    own.wall_piece("SM_WashBasin", clearance=0.3, gap=0.0)
-    own.small(("SM_TrashCan_A", "SM_Basket"), 0.2)
+    furnisher.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
+    furnisher.wall_piece("SM_WashBasin", clearance=0.3, gap=0.0)
+    furnisher.small(("SM_TrashCan_A", "SM_Basket"), 0.2)

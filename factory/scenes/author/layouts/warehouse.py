@@ -66,8 +66,8 @@ def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Pale
     Raises:
         WorldError: the hall has no room for the minimum number of racks.
     """
-    own = [Furnisher(plan, room, palette) for room in rooms]
-    parts = sorted((each for each in own if each.room.kind == HALL), key=lambda each: -_floor_of(each.area))
+    furnishers = [Furnisher(plan, room, palette) for room in rooms]
+    parts = sorted((each for each in furnishers if each.room.kind == HALL), key=lambda each: -_floor_of(each.area))
     gates = _gates(parts[0])
     enter(parts, (HALL,), 2 + 3 * plan.pick(13))
     for number, part in enumerate(parts):
@@ -75,14 +75,14 @@ def furnish_warehouse(plan: FloorPlan, rooms: Sequence[BuiltRoom], palette: Pale
     side_rooms: dict[str, Callable[[Furnisher], None]] = {
         "office": _office, "break": _break_room, "wash": _wash, "tools": _tools,
     }  # fmt: skip
-    for each in own:
+    for each in furnishers:
         if each.room.kind in side_rooms:
             side_rooms[each.room.kind](each)
     complete(plan, parts, _EVERYWHERE)
     racks = sum(placement.model.name.startswith("SM_RackPile_04") for placement in plan.placements)
     if racks < _EVERYWHERE["SM_RackPile_04"]:
         raise WorldError(f"room for only {racks} racks")
-    for each in own:
+    for each in furnishers:
         each.hang_all()
 
 
@@ -90,32 +90,36 @@ def _floor_of(area: Rectangle) -> float:
     return area.width * area.depth
 
 
-def _gates(own: Furnisher) -> str | None:
+def _gates(furnisher: Furnisher) -> str | None:
     """Adds loading gates to one outer wall, and keeps the floor before them clear; returns the side."""
-    sides = [side for side in own.sides() if any(high - low > 4.5 for low, high in own.room.outside.get(side, ()))]
-    gate = own.model("SM_RollerGate", 0)
+    sides = [
+        side
+        for side in furnisher.sides()
+        if any(high - low > 4.5 for low, high in furnisher.room.outside.get(side, ()))
+    ]
+    gate = furnisher.model("SM_RollerGate", 0)
     for side in sides:
-        found = 0
-        for low, high in own.room.outside[side]:
-            count = min(1 + own.plan.pick(4), int((high - low) // _GATE_PITCH_M))
+        gates = 0
+        for low, high in furnisher.room.outside[side]:
+            count = min(1 + furnisher.plan.pick(4), int((high - low) // _GATE_PITCH_M))
             for number in range(count):
                 along = low + (number + 0.5) * (high - low) / count
-                x = {"W": own.area.x0, "E": own.area.x1}.get(side, along)
-                y = {"S": own.area.y0, "N": own.area.y1}.get(side, along)
-                if own.plan.hang_at(gate, x, y, FACING[side]):
+                x = {"W": furnisher.area.x0, "E": furnisher.area.x1}.get(side, along)
+                y = {"S": furnisher.area.y0, "N": furnisher.area.y1}.get(side, along)
+                if furnisher.plan.hang_at(gate, x, y, FACING[side]):
                     reach = (1.7, _GATE_CLEAR_M) if side in "NS" else (_GATE_CLEAR_M, 1.7)
-                    own.plan.keep_clear(Rectangle(x - reach[0], y - reach[1], x + reach[0], y + reach[1]))
-                    found += 1
-        if found:
+                    furnisher.plan.keep_clear(Rectangle(x - reach[0], y - reach[1], x + reach[0], y + reach[1]))
+                    gates += 1
+        if gates:
             return side
     return None
 
 
-def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
+def _hall(furnisher: Furnisher, kind: HallKind, gates: str | None) -> None:
     """Places racks in a part of the hall, goods on a staging floor before its gates, and shelves along its walls."""
-    area, rng = own.area, own.rng
+    area, rng = furnisher.area, furnisher.rng
     if min(area.width, area.depth) < _LEAST_RACK_M:
-        _stage(own, area.grown(-0.6), 0.12)
+        _stage(furnisher, area.grown(-0.6), 0.12)
     else:
         margin, ends = float(rng.uniform(2.2, 2.8)), float(rng.uniform(2.2, 3.2))
         is_along_x = bool(rng.random() < (0.7 if area.width > area.depth else 0.3))
@@ -123,10 +127,10 @@ def _hall(own: Furnisher, kind: HallKind, gates: str | None) -> None:
         inner = inner._replace(x0=area.x0 + ends, x1=area.x1 - ends) if is_along_x else inner._replace(
             y0=area.y0 + ends, y1=area.y1 - ends)  # fmt: skip
         inner, staging = _split(inner, gates, float(rng.uniform(0.0, 0.24)))
-        fill_with_racks(own, inner, _rack_plan(own, kind, is_along_x, inner))
+        fill_with_racks(furnisher, inner, _rack_plan(furnisher, kind, is_along_x, inner))
         if staging is not None:
-            _stage(own, staging, float(rng.uniform(0.06, 0.11)))
-    _along_walls(own, kind)
+            _stage(furnisher, staging, float(rng.uniform(0.06, 0.11)))
+    _along_walls(furnisher, kind)
 
 
 def _split(area: Rectangle, side: str | None, share: float) -> tuple[Rectangle, Rectangle | None]:
@@ -148,8 +152,8 @@ def _split(area: Rectangle, side: str | None, share: float) -> tuple[Rectangle, 
     }[side]
 
 
-def _rack_plan(own: Furnisher, kind: HallKind, is_along_x: bool, area: Rectangle) -> RackPlan:
-    rng, plan = own.rng, own.plan
+def _rack_plan(furnisher: Furnisher, kind: HallKind, is_along_x: bool, area: Rectangle) -> RackPlan:
+    rng, plan = furnisher.rng, furnisher.plan
     length = area.width if is_along_x else area.depth
     crosses = (0, 1, 1, 1, 2)[plan.pick(5)] if length > 15.0 else (0, 1)[plan.pick(2)] if length > 9.5 else 0
     cross = tuple((number + 1) / (crosses + 1) + float(rng.uniform(-0.1, 0.1)) for number in range(crosses))
@@ -166,11 +170,11 @@ def _rack_plan(own: Furnisher, kind: HallKind, is_along_x: bool, area: Rectangle
     )
 
 
-def _stage(own: Furnisher, area: Rectangle, density: float) -> None:
+def _stage(furnisher: Furnisher, area: Rectangle, density: float) -> None:
     """Places pallets, piles, crates and barrels in a painted frame on the floor, with ways around them."""
     if area.width < 1.5 or area.depth < 1.5:
         return
-    plan, rng = own.plan, own.rng
+    plan, rng = furnisher.plan, furnisher.rng
     paint = painted(("Yellow", "White", "Blue")[plan.pick(3)], 0.6)
     for line in (
         area._replace(y1=area.y0 + 0.08), area._replace(y0=area.y1 - 0.08),
@@ -178,86 +182,89 @@ def _stage(own: Furnisher, area: Rectangle, density: float) -> None:
     ):  # fmt: skip
         marking(plan, line, paint)
     if rng.random() < 0.6:
-        _place(own, area, "SM_ForkLift", 1.0)
+        _place(furnisher, area, "SM_ForkLift", 1.0)
     for _ in range(max(3, int(density * _floor_of(area)))):
-        _place(own, area, _STAGED[plan.pick(len(_STAGED))], 0.85)
+        _place(furnisher, area, _STAGED[plan.pick(len(_STAGED))], 0.85)
 
 
-def _place(own: Furnisher, area: Rectangle, name: str, clearance: float) -> None:
+def _place(furnisher: Furnisher, area: Rectangle, name: str, clearance: float) -> None:
     """Places a piece somewhere in an area, parallel to the walls."""
-    model = own.model(name)
+    model = furnisher.model(name)
     for _ in range(6):
-        x, y = (float(own.rng.uniform(low, high)) for low, high in ((area.x0, area.x1), (area.y0, area.y1)))
-        if own.plan.place(model, x, y, math.pi / 2 * own.plan.pick(4), own.area, clearance) is not None:
+        x, y = (float(furnisher.rng.uniform(low, high)) for low, high in ((area.x0, area.x1), (area.y0, area.y1)))
+        if (
+            furnisher.plan.place(model, x, y, math.pi / 2 * furnisher.plan.pick(4), furnisher.area, clearance)
+            is not None
+        ):
             return
 
 
-def _along_walls(own: Furnisher, kind: HallKind) -> None:
+def _along_walls(furnisher: Furnisher, kind: HallKind) -> None:
     """Places shelves, packing benches, goods alone and in clusters, tools and notices along the walls."""
-    plan, rng = own.plan, own.rng
-    share = _floor_of(own.area) / 500
+    plan, rng = furnisher.plan, furnisher.rng
+    share = _floor_of(furnisher.area) / 500
     for number in range(1 + round(rng.uniform(3, 8) * share)):
-        own.wall_piece("SM_ShelfSteel_A", None, None, 0.05 if number % 2 else 0.5)
+        furnisher.wall_piece("SM_ShelfSteel_A", None, None, 0.05 if number % 2 else 0.5)
     for _ in range(round(rng.uniform(0.5, 3) * share)):
-        own.wall_piece("SM_Workbench", clearance=0.4)
+        furnisher.wall_piece("SM_Workbench", clearance=0.4)
     for number in range(2 + round(kind.goods * share)):
-        plan.against_somewhere(own.model(_GOODS[number % 4]), own.area, own.sides(), 0.35)
+        plan.against_somewhere(furnisher.model(_GOODS[number % 4]), furnisher.area, furnisher.sides(), 0.35)
     for _ in range(round(rng.uniform(2, 7) * share)):
-        _cluster(own)
-    own.small([_TOOLS[k] for k in rng.permutation(len(_TOOLS))[: 2 + round(4 * share)]], 0.5)
+        _cluster(furnisher)
+    furnisher.small([_TOOLS[k] for k in rng.permutation(len(_TOOLS))[: 2 + round(4 * share)]], 0.5)
     for name in ("SM_PalletPile", "SM_CardBoxPile", "SM_PalletPile"):
-        plan.against_somewhere(own.model(name), own.area, own.sides(), 0.5)
-    own.small(("SM_FireExtinguisher_02",), 0.35)
-    own.hang("SM_SafetyNotice", 2 + round(4 * share))
+        plan.against_somewhere(furnisher.model(name), furnisher.area, furnisher.sides(), 0.5)
+    furnisher.small(("SM_FireExtinguisher_02",), 0.35)
+    furnisher.hang("SM_SafetyNotice", 2 + round(4 * share))
 
 
-def _cluster(own: Furnisher) -> None:
+def _cluster(furnisher: Furnisher) -> None:
     """Places two to four equal goods close together near a wall."""
-    plan, rng, side = own.plan, own.rng, own.sides()[own.plan.pick(4)]
+    plan, rng, side = furnisher.plan, furnisher.rng, furnisher.sides()[furnisher.plan.pick(4)]
     name, variant = _GOODS[plan.pick(4)], plan.pick(12)
-    along = float(rng.uniform(1.5, max(own.length(side) - 1.5, 1.6)))
+    along = float(rng.uniform(1.5, max(furnisher.length(side) - 1.5, 1.6)))
     for _ in range(2 + plan.pick(3)):
-        x, y = own.at_wall(side, along + float(rng.uniform(-0.8, 0.8)), 0.9 + float(rng.uniform(-0.35, 0.35)))
-        plan.place(own.model(name, variant), x, y, float(rng.uniform(-0.4, 0.4)), own.area, 0.02)
+        x, y = furnisher.at_wall(side, along + float(rng.uniform(-0.8, 0.8)), 0.9 + float(rng.uniform(-0.35, 0.35)))
+        plan.place(furnisher.model(name, variant), x, y, float(rng.uniform(-0.4, 0.4)), furnisher.area, 0.02)
 
 
-def _office(own: Furnisher) -> None:
+def _office(furnisher: Furnisher) -> None:
     """Places desks with screens, a cabinet and a board."""
-    for _ in range(1 + own.plan.pick(2)):
-        desk = own.wall_piece("SM_TableDesk_A", own.palette.wood, clearance=0.4, gap=0.06)
-        workplace(own, desk, own.palette.cover)
-    own.wall_piece("SM_Cabinet", own.plan.pick(3), clearance=0.25)
-    own.wall_piece("SM_Whiteboard_A", clearance=0.25)
-    own.small(("SM_TrashCan_A", "SM_Plant_A", "SM_Printer"), 0.35)
-    own.hang("SM_ClockWall")
-    own.hang("SM_PinBoard")
+    for _ in range(1 + furnisher.plan.pick(2)):
+        desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.4, gap=0.06)
+        workplace(furnisher, desk, furnisher.palette.cover)
+    furnisher.wall_piece("SM_Cabinet", furnisher.plan.pick(3), clearance=0.25)
+    furnisher.wall_piece("SM_Whiteboard_A", clearance=0.25)
+    furnisher.small(("SM_TrashCan_A", "SM_Plant_A", "SM_Printer"), 0.35)
+    furnisher.hang("SM_ClockWall")
+    furnisher.hang("SM_PinBoard")
 
 
-def _break_room(own: Furnisher) -> None:
+def _break_room(furnisher: Furnisher) -> None:
     """Places a table with chairs, lockers, a machine and a bin."""
-    round_table(own, own.area.centre, "SM_ChairWaiting_E", own.palette.cover)
-    own.wall_piece("SM_Locker", own.palette.cover, clearance=0.2)
-    own.wall_piece("SM_VendingMachine", clearance=0.2)
-    own.wall_piece("SM_Bench", own.palette.wood, clearance=0.2)
-    own.small(("SM_TrashCan_A", "SM_WaterDispenser", "SM_Plant_A"), 0.3)
-    own.hang("SM_PinBoard")
-    own.hang("SM_PictureFrame")
+    round_table(furnisher, furnisher.area.centre, "SM_ChairWaiting_E", furnisher.palette.cover)
+    furnisher.wall_piece("SM_Locker", furnisher.palette.cover, clearance=0.2)
+    furnisher.wall_piece("SM_VendingMachine", clearance=0.2)
+    furnisher.wall_piece("SM_Bench", furnisher.palette.wood, clearance=0.2)
+    furnisher.small(("SM_TrashCan_A", "SM_WaterDispenser", "SM_Plant_A"), 0.3)
+    furnisher.hang("SM_PinBoard")
+    furnisher.hang("SM_PictureFrame")
 
 
-def _wash(own: Furnisher) -> None:
+def _wash(furnisher: Furnisher) -> None:
     """Places toilets, basins and a bin."""
-    own.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
+    furnisher.wall_piece("SM_Toilet", clearance=0.3, gap=0.0)
     for _ in range(2):
-        own.wall_piece("SM_WashBasin", own.palette.cover, clearance=0.25, gap=0.0)
-    own.small(("SM_TrashCan_A",), 0.3)
+        furnisher.wall_piece("SM_WashBasin", furnisher.palette.cover, clearance=0.25, gap=0.0)
+    furnisher.small(("SM_TrashCan_A",), 0.3)
 
 
-def _tools(own: Furnisher) -> None:
+def _tools(furnisher: Furnisher) -> None:
     """Places shelves, a bench, a ladder and cartons."""
     for _ in range(2):
-        own.wall_piece("SM_ShelfSteel_A", clearance=0.12)
-    own.wall_piece("SM_Workbench", clearance=0.3)
-    own.small(("SM_StepLadder", "SM_CartonSingle", "SM_CratePlastic_A", "SM_CartonSingle"), 0.3)
+        furnisher.wall_piece("SM_ShelfSteel_A", clearance=0.12)
+    furnisher.wall_piece("SM_Workbench", clearance=0.3)
+    furnisher.small(("SM_StepLadder", "SM_CartonSingle", "SM_CratePlastic_A", "SM_CartonSingle"), 0.3)
 
 
 _KICKS = ("#7d868d", "#5f7d8c", "#8a7d5c", "#7a8a6a", "#8c6a5c", "#55606a")
@@ -300,11 +307,13 @@ def lay_out_multiple_shelves(plan: FloorPlan) -> None:
 def _lay_out(plan: FloorPlan, kind: HallKind, size: _Size) -> None:
     palette, rng = draw_palette(plan.rng, HALL_FINISHES), plan.rng
     kick = _KICKS[plan.pick(len(_KICKS))]
-    dado = tinted("Plaster", f"KickPlaster{kick[1:]}", kick, 1.0, 0.8)
+    dado = tinted("Plaster", f"KickPlaster{kick[1:]}", colour=kick, tile_m=1.0, roughness=0.8)
     frame = (painted("Grey", 0.5), painted("Charcoal", 0.5), painted("Yellow", 0.5))[plan.pick(3)]
     trim = Trim(None, dado, float(rng.choice((0.8, 1.1, 1.4))), has_sockets=False, frame=frame)
     height = float(rng.uniform(*size.height_m))
-    building = BuildingLook(_looks(palette), trim, palette.leaf, "girders", palette.views, height)
+    building = BuildingLook(
+        _looks(palette), trim, leaf=palette.leaf, ceiling="girders", views=palette.views, height=height
+    )
     rooms = build_rooms(plan, _divide(plan, float(rng.uniform(*size.hall_m2))), building)
     furnish_warehouse(plan, rooms, palette, kind)
 
@@ -339,7 +348,7 @@ def _divide(plan: FloorPlan, hall_m2: float) -> Division:
         if rng.random() < share:
             specs.append(RoomSpec(kind, float(rng.uniform(low, high)), least))
     doors = Doors(float(rng.uniform(1.1, 1.35)), {}, 0.0)
-    return turned(rng, divide_floor(rng, outline, specs, doors, _parts_of_a_hall))
+    return turned(rng, divide_floor(rng, outline, specs=specs, doors=doors, scheme=_parts_of_a_hall))
 
 
 def _parts_of_a_hall(rng: Generator, floor: Rectangle, specs: Specs) -> Arrangement:

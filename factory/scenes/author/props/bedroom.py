@@ -26,7 +26,7 @@ BLACK = painted("Black", 0.6)
 CHROME = painted("Chrome", 0.25, 1.0)
 BEDDING = tuple(cloth(paint) for paint in ("Navy", "White", "Green", "DarkRed", "SkyBlue", "Grey"))
 SEATS = tuple(cloth(paint) for paint in ("Blue", "Green", "Red", "Grey", "Orange", "Yellow"))
-WICKER = tinted("Cloth", "Wicker", "#b98a52", 0.25, 0.9)
+WICKER = tinted("Cloth", "Wicker", colour="#b98a52", tile_m=0.25, roughness=0.9)
 
 
 def bed(variant: int, _rng: Generator) -> list[PropPiece]:

@@ -155,7 +155,7 @@ def carton_pile(variant: int, rng: Generator) -> list[PropPiece]:
         first = fitted_block((-0.3, -0.2, 0.0), (0.3, 0.2, 0.4))
         second = moved(fitted_block((-0.22, -0.17, 0.4), (0.22, 0.17, 0.72)), yaw=0.25)
         return [PropPiece(CARTON, first), PropPiece(CARTONS[2], second)]
-    return [*pallet(0.0, 0.0, 0.0), *carton_stack(0.0, 0.0, 0.14, (1.08, 0.94, 0.9), rng)]
+    return [*pallet(0.0, 0.0, 0.0), *carton_stack(0.0, 0.0, z=0.14, reach=(1.08, 0.94, 0.9), rng=rng)]
 
 
 def pallet_pile(variant: int, rng: Generator) -> list[PropPiece]:

@@ -35,37 +35,45 @@ class CupboardModel(NamedTuple):
 
 
 NIGHTSTANDS = (
-    CupboardModel((0.45, 0.40, 0.52), 2, 1, wood("Oak"), wood("Oak"), 0.12, BLACK),
-    CupboardModel((0.42, 0.38, 0.55), 2, 1, WHITE, WHITE, 0.06),
-    CupboardModel((0.50, 0.40, 0.48), 1, 1, wood("Walnut"), wood("Walnut"), 0.18),
-    CupboardModel((0.44, 0.38, 0.54), 3, 1, painted("SkyBlue", 0.5), painted("SkyBlue", 0.5), 0.05),
+    CupboardModel((0.45, 0.40, 0.52), 2, columns=1, body=wood("Oak"), front=wood("Oak"), foot_m=0.12, grip=BLACK),
+    CupboardModel((0.42, 0.38, 0.55), 2, columns=1, body=WHITE, front=WHITE, foot_m=0.06),
+    CupboardModel((0.50, 0.40, 0.48), 1, columns=1, body=wood("Walnut"), front=wood("Walnut"), foot_m=0.18),
+    CupboardModel(
+        (0.44, 0.38, 0.54), 3, columns=1, body=painted("SkyBlue", 0.5), front=painted("SkyBlue", 0.5), foot_m=0.05
+    ),
 )
 DRESSERS = (
-    CupboardModel((1.20, 0.46, 0.80), 3, 2, wood("Oak"), wood("Oak"), 0.10, BLACK),
-    CupboardModel((0.90, 0.45, 1.05), 4, 1, WHITE, WHITE, 0.06),
-    CupboardModel((1.30, 0.45, 0.76), 3, 3, wood("Walnut"), wood("Walnut"), 0.12),
-    CupboardModel((1.00, 0.45, 0.90), 4, 2, painted("Green", 0.5), painted("Green", 0.5), 0.08),
+    CupboardModel((1.20, 0.46, 0.80), 3, columns=2, body=wood("Oak"), front=wood("Oak"), foot_m=0.10, grip=BLACK),
+    CupboardModel((0.90, 0.45, 1.05), 4, columns=1, body=WHITE, front=WHITE, foot_m=0.06),
+    CupboardModel((1.30, 0.45, 0.76), 3, columns=3, body=wood("Walnut"), front=wood("Walnut"), foot_m=0.12),
+    CupboardModel(
+        (1.00, 0.45, 0.90), 4, columns=2, body=painted("Green", 0.5), front=painted("Green", 0.5), foot_m=0.08
+    ),
 )
 WARDROBES = (
-    CupboardModel((1.20, 0.58, 2.05), 1, 2, wood("Oak"), wood("Oak"), 0.08, BLACK),
-    CupboardModel((1.50, 0.60, 2.15), 1, 3, WHITE, WHITE, 0.06),
-    CupboardModel((1.00, 0.58, 1.95), 1, 2, wood("Walnut"), wood("Walnut"), 0.10),
-    CupboardModel((1.60, 0.60, 2.10), 1, 4, wood("Ash"), wood("Ash"), 0.06, BLACK),
+    CupboardModel((1.20, 0.58, 2.05), 1, columns=2, body=wood("Oak"), front=wood("Oak"), foot_m=0.08, grip=BLACK),
+    CupboardModel((1.50, 0.60, 2.15), 1, columns=3, body=WHITE, front=WHITE, foot_m=0.06),
+    CupboardModel((1.00, 0.58, 1.95), 1, columns=2, body=wood("Walnut"), front=wood("Walnut"), foot_m=0.10),
+    CupboardModel((1.60, 0.60, 2.10), 1, columns=4, body=wood("Ash"), front=wood("Ash"), foot_m=0.06, grip=BLACK),
 )
 SIDEBOARDS = (
-    CupboardModel((1.50, 0.45, 0.78), 1, 3, wood("Oak"), wood("Oak"), 0.14, BLACK),
-    CupboardModel((1.40, 0.42, 0.80), 2, 2, WHITE, WHITE, 0.10),
-    CupboardModel((1.60, 0.45, 0.74), 1, 4, wood("Walnut"), wood("Walnut"), 0.16),
-    CupboardModel((1.20, 0.42, 0.90), 2, 2, painted("Green", 0.5), painted("Green", 0.5), 0.10),
+    CupboardModel((1.50, 0.45, 0.78), 1, columns=3, body=wood("Oak"), front=wood("Oak"), foot_m=0.14, grip=BLACK),
+    CupboardModel((1.40, 0.42, 0.80), 2, columns=2, body=WHITE, front=WHITE, foot_m=0.10),
+    CupboardModel((1.60, 0.45, 0.74), 1, columns=4, body=wood("Walnut"), front=wood("Walnut"), foot_m=0.16),
+    CupboardModel(
+        (1.20, 0.42, 0.90), 2, columns=2, body=painted("Green", 0.5), front=painted("Green", 0.5), foot_m=0.10
+    ),
 )
 MEDIA_BENCHES = (
-    CupboardModel((1.50, 0.40, 0.46), 1, 3, wood("Oak"), wood("Oak"), 0.10, BLACK),
-    CupboardModel((1.60, 0.42, 0.42), 1, 2, WHITE, WHITE, 0.06),
-    CupboardModel((1.40, 0.40, 0.48), 2, 2, wood("Walnut"), wood("Walnut"), 0.12),
-    CupboardModel((1.70, 0.42, 0.40), 1, 4, painted("Black", 0.5), painted("Black", 0.5), 0.05),
+    CupboardModel((1.50, 0.40, 0.46), 1, columns=3, body=wood("Oak"), front=wood("Oak"), foot_m=0.10, grip=BLACK),
+    CupboardModel((1.60, 0.42, 0.42), 1, columns=2, body=WHITE, front=WHITE, foot_m=0.06),
+    CupboardModel((1.40, 0.40, 0.48), 2, columns=2, body=wood("Walnut"), front=wood("Walnut"), foot_m=0.12),
+    CupboardModel(
+        (1.70, 0.42, 0.40), 1, columns=4, body=painted("Black", 0.5), front=painted("Black", 0.5), foot_m=0.05
+    ),
 )
 LOCKERS = tuple(
-    CupboardModel((0.90, 0.45, 1.85), rows, 3, GREY, painted(paint, 0.45), 0.10)
+    CupboardModel((0.90, 0.45, 1.85), rows, columns=3, body=GREY, front=painted(paint, 0.45), foot_m=0.10)
     for rows, paint in ((1, "Blue"), (2, "Red"), (2, "Green"), (1, "Yellow"))
 )
 
@@ -89,7 +97,7 @@ def carcass(model: CupboardModel) -> list[PropPiece]:
             fronts.append(
                 open_block((x0 + 0.006, -back, z0 + 0.006), (x0 + across - 0.006, front, z0 + up - 0.006), "SEWBT")
             )
-            grips.append(_grip(model, x0, z0, across, up, column))
+            grips.append(_grip(model, x0, z0=z0, across=across, up=up, column=column))
     return [
         PropPiece(model.body, body),
         *(PropPiece(model.body, mesh) for mesh in feet),

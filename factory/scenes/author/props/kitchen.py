@@ -16,7 +16,12 @@ BLACK = painted("Black", 0.35)
 STEEL = painted("Steel", 0.35, 1.0)
 CHROME = painted("Chrome", 0.25, 1.0)
 FRONTS = (WHITE, wood("Oak"), painted("SkyBlue", 0.5), painted("LightGrey", 0.5))
-TOPS = (wood("Oak"), tinted("Terrazzo", "TopGranite", "#8f8f8f", 0.5, 0.3), wood("Walnut"), WHITE)
+TOPS = (
+    wood("Oak"),
+    tinted("Terrazzo", "TopGranite", colour="#8f8f8f", tile_m=0.5, roughness=0.3),
+    wood("Walnut"),
+    WHITE,
+)
 HALF, BACK, TOP_M = 0.30, 0.30, 0.90
 
 
@@ -63,7 +68,7 @@ def splash_back(variant: int, _rng: Generator) -> list[PropPiece]:
     """Wall tiles between worktop and wall units, 0.6 m wide; the wall plane is y = 0."""
     tint = ("#e8ece8", "#9fb8b4", "#d8c7a8", "#b9c4d2")[variant % 4]
     plate = open_block((-HALF, -0.012, 0.92), (HALF, 0.0, 1.45), "SEWBT")
-    return [PropPiece(tinted("SmallTiles", f"Splash{variant % 4}", tint, 0.8, 0.3), plate)]
+    return [PropPiece(tinted("SmallTiles", f"Splash{variant % 4}", colour=tint, tile_m=0.8, roughness=0.3), plate)]
 
 
 def sink_unit(variant: int, _rng: Generator) -> list[PropPiece]:

@@ -84,7 +84,7 @@ def television(variant: int, _rng: Generator) -> list[PropPiece]:
 def fireplace(variant: int, _rng: Generator) -> list[PropPiece]:
     """A chimney piece with a dark hearth, logs and embers."""
     stone = (
-        tinted("Bricks", "HearthBrick", "#b06a4c", 0.6, 0.9),
+        tinted("Bricks", "HearthBrick", colour="#b06a4c", tile_m=0.6, roughness=0.9),
         WHITE,
         tinted("SquareTiles", "HearthSlate", "#7c8084", 0.5),
     )[variant % 3]

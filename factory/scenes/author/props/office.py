@@ -171,12 +171,18 @@ def plant(variant: int, rng: Generator) -> list[PropPiece]:
         for step in range(26):
             z = 0.48 + 0.03 * step
             length = float(rng.uniform(0.20, 0.30)) * (1.15 - 0.35 * (z - 0.48) / 0.78)
-            leaves.append(_broad_leaf(step * 2.4, float(rng.uniform(0.1, 0.7)), length, 0.055, (0.0, 0.0, z)))
+            leaves.append(
+                _broad_leaf(step * 2.4, float(rng.uniform(0.1, 0.7)), length=length, width=0.055, at=(0.0, 0.0, z))
+            )
     elif kind == 1:  # sword leaves from the soil
         for step in range(18):
             angle, reach = step * 2.4, 0.02 + 0.05 * float(rng.random())
             foot = (reach * math.cos(angle), reach * math.sin(angle), base)
-            leaves.append(_broad_leaf(angle, float(rng.uniform(1.15, 1.5)), float(rng.uniform(0.4, 0.7)), 0.04, foot))
+            leaves.append(
+                _broad_leaf(
+                    angle, float(rng.uniform(1.15, 1.5)), length=float(rng.uniform(0.4, 0.7)), width=0.04, at=foot
+                )
+            )
     else:  # arching fronds
         pieces.append(PropPiece(painted("Brown", 0.9), cylinder(0.035, base, 0.7, sides=7, top=0.02)))
         for step in range(11):

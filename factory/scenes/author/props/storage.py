@@ -94,7 +94,7 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[PropPiece]:
     ]  # a solid block, because the front bar of a pallet hides the gap behind it
     top, height = z + 0.14, float(rng.uniform(0.55, 0.85)) * (room - 0.2)
     if kind < 0.68:
-        return [*base, *carton_stack(x, 0.0, top, (1.08, 0.72, height), rng)]
+        return [*base, *carton_stack(x, 0.0, z=top, reach=(1.08, 0.72, height), rng=rng)]
     if kind < 0.84:
         wrapped = standing_block((x - 0.52, -0.36, top), (x + 0.52, 0.36, top + height), fitted=True)
         return [*base, PropPiece(WRAP, wrapped)]
@@ -160,7 +160,7 @@ def shelf(variant: int, rng: Generator) -> list[PropPiece]:
         low, high = (-half_x + 0.003, -half_y + 0.003, z - 0.03), (half_x - 0.003, half_y - 0.003, z)
         pieces.append(PropPiece(plank, block(low, high)))  # not flush with the posts, which would cause z-fighting
         if deck < decks - 1:
-            pieces.extend(_shelf_goods(half_x - 0.06, half_y - 0.04, z, step - 0.06, kind, rng))
+            pieces.extend(_shelf_goods(half_x - 0.06, half_y - 0.04, z=z, room=step - 0.06, kind=kind, rng=rng))
     for x in (-half_x + 0.025, half_x - 0.025):
         brace = rod((x, -half_y + 0.03, 0.2), (x, half_y - 0.03, height - 0.2), 0.012, 4)
         pieces.append(PropPiece(frame, uncapped(brace)))

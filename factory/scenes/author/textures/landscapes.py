@@ -36,7 +36,9 @@ def _woods(rng: Generator) -> Pixels:
     image, draw = sky((150, 184, 214), (228, 234, 232), rng, 2)
     for row, (foot, colour) in enumerate(((330, "#6f8a78"), (356, "#52735a"), (386, "#3a5c42"))):
         for x in range(-10, SIZE + 20, 34 + 10 * row):
-            _conifer(draw, x + between(rng, -12, 12), foot, 120 + 46 * row + between(rng, -26, 26), colour)
+            _conifer(
+                draw, x + between(rng, -12, 12), foot=foot, high=120 + 46 * row + between(rng, -26, 26), colour=colour
+            )
     draw.rectangle((0, 384, SIZE, SIZE), fill="#7d9a55")
     return np.asarray(image)
 
@@ -45,9 +47,9 @@ def _snow(rng: Generator) -> Pixels:
     """Snowy hills with single firs."""
     image, draw = sky((172, 196, 220), (236, 240, 244), rng, 2)
     for base, height, colour in ((270, 40, "#b9c8d6"), (330, 30, "#d3dde6"), (390, 22, "#eef2f5")):
-        _ridge(draw, rng, base, height, colour)
+        _ridge(draw, rng, base=base, height=height, colour=colour)
     for _ in range(9):
-        _conifer(draw, between(rng, 10, 500), between(rng, 380, 470), between(rng, 70, 130), "#4d6a5c")
+        _conifer(draw, between(rng, 10, 500), foot=between(rng, 380, 470), high=between(rng, 70, 130), colour="#4d6a5c")
     return np.asarray(image)
 
 
@@ -71,13 +73,13 @@ def _park(rng: Generator) -> Pixels:
     """A pond with a path, benches and round trees."""
     image, draw = sky((126, 180, 232), (230, 240, 244), rng, 4)
     for x in range(-20, SIZE + 20, 40):
-        foliage(draw, rng, x, 296, 34, 10)
+        foliage(draw, rng, x=x, y=296, size=34, count=10)
     draw.rectangle((0, 318, SIZE, SIZE), fill="#86a75e")
     draw.ellipse((90, 350, 400, 430), fill="#6f9fbd")
     draw.polygon([(420, 318), (450, 318), (560, SIZE), (380, SIZE)], fill="#cdbb98")
     for x in (between(rng, 20, 90), between(rng, 420, 500)):
         draw.rectangle((x - 7, 270, x + 7, 380), fill="#5b4632")
-        foliage(draw, rng, x, 236, 58, 40)
+        foliage(draw, rng, x=x, y=236, size=58, count=40)
     return np.asarray(image)
 
 
@@ -89,7 +91,7 @@ def _desert(rng: Generator) -> Pixels:
         draw.polygon([(x - width // 2 - 30, 330), (x - width // 2, top), (x + width // 2, top),
                       (x + width // 2 + 30, 330)], fill=("#b5684a", "#a45a42")[x % 2])  # fmt: skip
     for base, height, colour in ((330, 10, "#d9a86c"), (400, 16, "#e3ba80")):
-        _ridge(draw, rng, base, height, colour)
+        _ridge(draw, rng, base=base, height=height, colour=colour)
     for _ in range(5):
         x, foot, high = between(rng, 20, 490), between(rng, 370, 480), between(rng, 50, 110)
         for dx, low, top in ((0, foot, foot - high), (-14, foot - high // 3, foot - 2 * high // 3),
@@ -124,7 +126,7 @@ def _village(rng: Generator) -> Pixels:
     """Fields, a church and a few farm houses."""
     image, draw = sky((138, 184, 228), (240, 238, 228), rng, 4)
     for base, height, colour in ((280, 22, "#93ab84"), (330, 16, "#a8b56a"), (390, 12, "#c9b35a"), (450, 8, "#7f9c52")):
-        _ridge(draw, rng, base, height, colour)
+        _ridge(draw, rng, base=base, height=height, colour=colour)
     tower = between(rng, 150, 360)
     draw.rectangle((tower, 200, tower + 34, 320), fill="#e3ddd0")
     draw.polygon([(tower - 6, 200), (tower + 17, 120), (tower + 40, 200)], fill="#6b5148")

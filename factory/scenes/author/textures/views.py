@@ -51,10 +51,10 @@ def _garden(rng: Generator) -> Pixels:
     image, draw = sky((120, 176, 232), (226, 238, 246), rng, 4)
     draw.rectangle((0, 330, SIZE, SIZE), fill="#7fa05a")
     for x in range(-10, SIZE + 20, 22):
-        foliage(draw, rng, x, 326, 26, 7)
+        foliage(draw, rng, x=x, y=326, size=26, count=7)
     for x in (between(rng, 60, 200), between(rng, 300, 460)):
         draw.rectangle((x - 9, 230, x + 9, 380), fill="#5d4631")
-        foliage(draw, rng, x, 190, 82, 60)
+        foliage(draw, rng, x=x, y=190, size=82, count=60)
     for _ in range(60):
         x, y = between(rng, 0, SIZE), between(rng, 360, 420)
         draw.ellipse((x, y, x + 6, y + 6), fill=("#e8e2f0", "#d8617c", "#f0cf4a")[between(rng, 0, 3)])
@@ -79,7 +79,7 @@ def _suburb(rng: Generator) -> Pixels:
     draw.rectangle((0, 416, SIZE, 440), fill="#86a05e")
     draw.rectangle((0, 440, SIZE, SIZE), fill="#83868a")
     for x in range(10, SIZE, 90):
-        foliage(draw, rng, x + between(rng, 0, 40), 404, 24, 12)
+        foliage(draw, rng, x=x + between(rng, 0, 40), y=404, size=24, count=12)
     return np.asarray(image)
 
 

@@ -34,13 +34,13 @@ def crate_job(place: LoadedScene, attempt: int = 1, tier: Tier = Tier.MID, **cha
         "task": TaskConfig(),
         "tier": tier,
         "attempt": attempt,
-        "target_id": place.scene.info.targets[0].target_id,
+        "target_id": place.compiled.info.targets[0].target_id,
     }
     return job_for(**values | changes)
 
 
 def first_start(place: LoadedScene, job: Job) -> Pose | None:
-    return next(iter(draw_poses(job, place.scene.info.target(job.target_id), place, job.rng())), None)
+    return next(iter(draw_poses(job, place.compiled.info.target(job.target_id), place, job.rng())), None)
 
 
 def distances(place: LoadedScene, count: int, **changes: Any) -> list[float]:
@@ -108,9 +108,9 @@ def pillared_room() -> LoadedScene:
 
 
 def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
-    target = place.scene.info.target(job.target_id)
+    target = place.compiled.info.target(job.target_id)
     x, y, yaw = predict_path(
-        start, Goal.of(target, job.task), job, MaskEstimate(place.scene, target.instance_id, job.camera)
+        start, Goal.of(target, job.task), job, MaskEstimate(place.compiled, target.instance_id, job.camera)
     ).T
     return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
 
@@ -183,7 +183,7 @@ def test_starts_with_screening_sight_see_the_target_with_or_without_a_free_line(
     place = prepare_scene(build_scene((*room_walls((-9.0, -9.0), (9.0, 9.0)), CRATE, *wall, bench)))
     starts = starts_of(place, 40, tier=tier, **screened(Screening.SIGHT))
     assert len(starts) == 40
-    target = place.scene.info.targets[0]
+    target = place.compiled.info.targets[0]
     assert all(place.grid.has_sight(start[:2], target) for start in starts)
     assert 0 < sum(is_line_free(place, start) for start in starts) < 40
 
@@ -215,7 +215,7 @@ def test_starts_with_a_free_line_need_no_free_predicted_drive() -> None:
 )
 def test_far_starts_are_within_the_planned_range_of_floor_distances(expert: ExpertName, screening: Screening) -> None:
     place = divided_room()
-    target = place.scene.info.targets[0]
+    target = place.compiled.info.targets[0]
     detours = []
     for low, high in ((5.0, 11.0), (5.5, 7.0)):
         spawn = screened(screening, far_floor_m=(low, high))
@@ -251,7 +251,7 @@ def test_all_blind_attempts_at_an_episode_start_at_the_same_distance() -> None:
 def test_a_further_condition_selects_among_the_same_candidates(expert: ExpertName, tier: Tier) -> None:
     place = lane_room(8.5)
     job = crate_job(place, tier=tier, expert=expert)
-    target = place.scene.info.target(job.target_id)
+    target = place.compiled.info.target(job.target_id)
     seen: list[Pose] = []
 
     def is_on_the_left(pose: Pose) -> bool:
@@ -269,7 +269,7 @@ def test_a_draw_ends_when_too_many_starts_are_rejected() -> None:
     place = lane_room(8.5)
     job = crate_job(place, expert=ExpertName.PLANNER)
     rejected: list[Pose] = []
-    target = place.scene.info.target(job.target_id)
+    target = place.compiled.info.target(job.target_id)
     assert list(draw_poses(job, target, place, job.rng(), lambda pose: bool(rejected.append(pose)))) == []
     assert 256 <= len(rejected) < 256 + 32
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from numpy.random import Generator
 
@@ -15,7 +16,7 @@ from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted,
 from factory.scenes.author.placement import FloorPlan, Rectangle, RoomRecord
 from factory.scenes.author.room import PLAIN, WALL_THICKNESS_M, Doorway, Trim, ceiling, floor, wall
 
-PLASTER = tinted("Plaster", "WallPlaster", "#dedbd1", 0.8, 0.9)
+PLASTER = tinted("Plaster", "WallPlaster", colour="#dedbd1", tile_m=0.8, roughness=0.9)
 CEILING = textured("CeilingTile", "#e6e5e0", 1.2, 0.9)
 LEAF = textured("DoorLeaf", "#8a5f3c", 1.0, 0.5)
 GRIP = painted("Steel", 0.35, 1.0)
@@ -98,11 +99,20 @@ def build_wings(
     ceiling(plan, hall, height, CEILING)
     for x in (0.0, size[0]):
         trims = (None, hall_style.trim) if x == 0.0 else (hall_style.trim, None)
-        wall(plan, False, x, (hall.y0, hall.y1), (hall_style.paint, hall_style.paint), (), height, trims)
+        wall(
+            plan,
+            False,
+            at=x,
+            span=(hall.y0, hall.y1),
+            faces=(hall_style.paint, hall_style.paint),
+            doors=(),
+            height=height,
+            trims=trims,
+        )
     rooms: list[Room] = []
     for side, spans in wings.items():
         depth = (0.0, corridor[0]) if side == "S" else (corridor[1], size[1])
-        rooms += _build_wing(plan, side, depth, spans, styles, height)
+        rooms += _build_wing(plan, side, depth=depth, spans=spans, styles=styles, height=height)
     plan.rooms += [RoomRecord(room.kind, room.area, (len(rooms),)) for room in rooms]
     plan.rooms.append(RoomRecord("corridor", hall, tuple(range(len(rooms)))))
     return rooms
@@ -121,6 +131,7 @@ def _build_wing(
     outer_y, inner_y = depth if is_south else depth[::-1]
     hall_paint, rooms = styles["corridor"].paint, []
     previous: Style | None = None
+    build = partial(wall, plan, height=height)
     for cell, x0, x1 in spans:
         style = styles[cell.kind]
         area = Rectangle(x0, depth[0], x1, depth[1])
@@ -129,20 +140,34 @@ def _build_wing(
         door = _draw_door(plan.rng, cell, x0, x1)
         inner_faces = (style.paint, hall_paint) if is_south else (hall_paint, style.paint)
         hall_trim = styles["corridor"].trim
-        wall(plan, True, inner_y, (x0, x1), inner_faces, (door,), height, _facing(is_south, style.trim, hall_trim))
-        wall(plan, True, outer_y, (x0, x1), (style.paint, style.paint), (), height, _facing(is_south, None, style.trim))
+        build(
+            True,
+            at=inner_y,
+            span=(x0, x1),
+            faces=inner_faces,
+            doors=(door,),
+            trims=_facing(is_south, style.trim, hall_trim),
+        )
+        build(
+            True,
+            at=outer_y,
+            span=(x0, x1),
+            faces=(style.paint, style.paint),
+            doors=(),
+            trims=_facing(is_south, None, style.trim),
+        )
         before = style if previous is None else previous
         trims = (None if previous is None else previous.trim, style.trim)
-        wall(plan, False, x0, depth, (before.paint, style.paint), (), height, trims)
+        build(False, at=x0, span=depth, faces=(before.paint, style.paint), doors=(), trims=trims)
         previous = style
         inside = area.grown(-WALL_THICKNESS_M / 2)
-        room = Room(cell.kind, inside, door, side, "N" if is_south else "S")
+        room = Room(cell.kind, inside, door=door, outer=side, inner="N" if is_south else "S")
         rooms.append(room)
         _hang_leaves(plan, room)
         if style.has_windows:
             _hang_windows(plan, room)
     last = styles[spans[-1][0].kind]
-    wall(plan, False, spans[-1][2], depth, (last.paint, last.paint), (), height, (last.trim, None))
+    build(False, at=spans[-1][2], span=depth, faces=(last.paint, last.paint), doors=(), trims=(last.trim, None))
     return rooms
 
 

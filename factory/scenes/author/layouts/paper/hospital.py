@@ -29,7 +29,7 @@ class Paint(NamedTuple):
 
 MINT, SKY, CREAM = (
     Paint(
-        tinted("Plaster", f"Wall{name}", wall, 0.8, 0.85),
+        tinted("Plaster", f"Wall{name}", colour=wall, tile_m=0.8, roughness=0.85),
         Trim(RAIL, SurfaceMaterial(f"Dado{name}", dado, roughness=0.6)),
     )
     for name, wall, dado in (
@@ -54,7 +54,7 @@ def lay_out_hospital(plan: FloorPlan) -> None:
         "waiting": Style(TILES, PLASTER),
         "reception": Style(TILES, ward_paints[1].wall, has_windows=False),
     }
-    rooms = build_wings(plan, SIZE, corridor, wings, styles)
+    rooms = build_wings(plan, SIZE, corridor=corridor, wings=wings, styles=styles)
     _guide_lines(plan, corridor)
     furnish = {"ward": _ward, "exam": _exam, "waiting": _waiting, "reception": _reception}
     for room in rooms:
@@ -131,7 +131,14 @@ def _side_bed(plan: FloorPlan, room: Room, side: str, look: int) -> None:
     """Places a third bed with its head at a side wall, with its panel and night stand."""
     area, props = room.area, plan.props
     share = float(plan.rng.uniform(0.50, 0.54))
-    bed = plan.against(props.model("SM_Bed", look + 2), area, side, share if room.outer == "N" else 1 - share, 0.2, 0.1)
+    bed = plan.against(
+        props.model("SM_Bed", look + 2),
+        area,
+        side=side,
+        along=share if room.outer == "N" else 1 - share,
+        clearance=0.2,
+        gap=0.1,
+    )
     if bed is None:
         return
     into = -1.0 if side == "E" else 1.0
@@ -146,9 +153,15 @@ def _exam(plan: FloorPlan, room: Room) -> None:
     area, rng, props = room.area, plan.rng, plan.props
     side = "EW"[plan.pick(2)]
     along = 0.72 if room.outer == "N" else 0.28
-    plan.against(props.model("SM_Bed", plan.pick(6)), area, side, along, 0.1, 0.15)
+    plan.against(props.model("SM_Bed", plan.pick(6)), area, side=side, along=along, clearance=0.1, gap=0.15)
     other = "W" if side == "E" else "E"
-    plan.against(props.model("SM_Whiteboard_A", plan.pick(3)), area, other, float(rng.uniform(0.35, 0.65)), 0.2)
+    plan.against(
+        props.model("SM_Whiteboard_A", plan.pick(3)),
+        area,
+        side=other,
+        along=float(rng.uniform(0.35, 0.65)),
+        clearance=0.2,
+    )
     plan.against_somewhere(props.model("SM_Trolley", plan.pick(3)), area, room.outer, 0.2)
     plan.against_somewhere(props.model("SM_WashUnit", 0), area, room.outer, 0.2)
     for name in (
@@ -174,7 +187,7 @@ def _waiting(plan: FloorPlan, room: Room) -> None:
         for seat in range(seats):
             if rng.random() < 0.85:
                 model = props.model(kind, look if rng.random() < 0.8 else look + 1)
-                plan.against(model, area, side, start + seat * pitch, 0.0, 0.1)
+                plan.against(model, area, side=side, along=start + seat * pitch, clearance=0.0, gap=0.1)
     plan.hang(props.model("SM_Television", 1), area, "EW"[plan.pick(2)], 0.5)
     _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_WaterCooler", "SM_FireExtinguisher_02"))
     plan.against_somewhere(props.model("SM_Whiteboard_A", 1), area, "EW", 0.2)
@@ -194,13 +207,20 @@ def _reception(plan: FloorPlan, room: Room) -> None:
         0.1,
     )
     for along in (0.3, 0.5, 0.7):
-        plan.against(props.model("SM_Cabinet", plan.pick(3)), area, room.outer, along, 0.02)
+        plan.against(props.model("SM_Cabinet", plan.pick(3)), area, side=room.outer, along=along, clearance=0.02)
     stool_y = y_wall + inward * 1.45
     plan.place(props.model("SM_Stool_F", 0), area.centre[0] + float(rng.uniform(-0.6, 0.6)), stool_y, 0.0, area, 0.2)
     look, low = plan.pick(5), 0.12 if room.outer == "N" else 0.55
     for seat in range(3):
         for side in "EW":
-            plan.against(props.model("SM_ChairVisitor_C", look), area, side, low + 0.14 * seat, 0.02, 0.08)
+            plan.against(
+                props.model("SM_ChairVisitor_C", look),
+                area,
+                side=side,
+                along=low + 0.14 * seat,
+                clearance=0.02,
+                gap=0.08,
+            )
     _along(plan, room, ("SM_TrashCan_A", "SM_FireExtinguisher_02"))
     plan.hang(props.model("SM_Clock", 0), area, room.outer, 0.5)
     _decorate(plan, room)

@@ -21,10 +21,10 @@ FABRIC_RED = textured("FabricRed", "#a32a26", 0.4, 0.95)
 FABRIC_BLUE = textured("FabricBlue", "#2f5597", 0.4, 0.95)
 FABRIC_GREEN = textured("FabricGreen", "#3f7d4a", 0.4, 0.95)
 PAINTS = (
-    tinted("Plaster", "WallHarbour", "#6f8fa3", 0.8, 0.9),
-    tinted("Plaster", "WallSage", "#a9b79a", 0.8, 0.9),
-    tinted("Plaster", "WallSand", "#d3c09c", 0.8, 0.9),
-    tinted("Plaster", "WallRose", "#c79c8b", 0.8, 0.9),
+    tinted("Plaster", "WallHarbour", colour="#6f8fa3", tile_m=0.8, roughness=0.9),
+    tinted("Plaster", "WallSage", colour="#a9b79a", tile_m=0.8, roughness=0.9),
+    tinted("Plaster", "WallSand", colour="#d3c09c", tile_m=0.8, roughness=0.9),
+    tinted("Plaster", "WallRose", colour="#c79c8b", tile_m=0.8, roughness=0.9),
 )
 LIGHT_TRIM = Trim(skirting=painted("White", 0.45))
 SOUTH = (Cell("open", 8.4, 2.2), Cell("meeting", 5.4, 1.5), Cell("private", 4.6, 1.25), Cell("kitchen", 5.0, 1.6))
@@ -49,7 +49,7 @@ def lay_out_office(plan: FloorPlan) -> None:
         "lounge": Style(PLANKS, accents[2], trim=LIGHT_TRIM),
         "kitchen": Style(TILES, accents[3], trim=LIGHT_TRIM),
     }
-    rooms = build_wings(plan, SIZE, corridor, wings, styles)
+    rooms = build_wings(plan, SIZE, corridor=corridor, wings=wings, styles=styles)
     furnish = {
         "open": _open_plan,
         "meeting": _meeting,
@@ -102,8 +102,8 @@ def _workplace(plan: FloorPlan, x: float, y: float, yaw: float, look: int, room:
 def _wall_workplace(plan: FloorPlan, area: Rectangle, side: str, along: float, look: int) -> None:
     """Places a workplace with the back of the desk to a wall."""
     desk = plan.props.model("SM_TableDesk_A", look)
-    x, y, yaw = wall_pose(desk, area, side, along, 0.06)
-    _workplace(plan, x, y, yaw, look, area)
+    x, y, yaw = wall_pose(desk, area, side=side, along=along, gap=0.06)
+    _workplace(plan, x, y=y, yaw=yaw, look=look, room=area)
 
 
 def _open_plan(plan: FloorPlan, room: Room) -> None:
@@ -113,13 +113,13 @@ def _open_plan(plan: FloorPlan, room: Room) -> None:
     marking(plan, Rectangle(*area.centre, *area.centre).grown(1.4), CARPET_HALL)
     spread = float(rng.uniform(0.0, 0.06))
     for along in ((0.10, 0.32, 0.88), (0.12, 0.68, 0.90), (0.10, 0.50, 0.90))[plan.pick(3)]:
-        _wall_workplace(plan, area, room.outer, along + spread - 0.03, look)
+        _wall_workplace(plan, area, side=room.outer, along=along + spread - 0.03, look=look)
     desk_side, board_side = ("E", "W") if rng.random() < 0.5 else ("W", "E")
     near = 0.34 if room.outer == "N" else 0.66
-    _wall_workplace(plan, area, desk_side, near + float(rng.uniform(-0.06, 0.06)), look)
+    _wall_workplace(plan, area, side=desk_side, along=near + float(rng.uniform(-0.06, 0.06)), look=look)
     if rng.random() < 0.5:
-        _wall_workplace(plan, area, board_side, 1.0 - near, look)
-    plan.against(props.model("SM_Whiteboard_A", plan.pick(2)), area, board_side, near, 0.2)
+        _wall_workplace(plan, area, side=board_side, along=1.0 - near, look=look)
+    plan.against(props.model("SM_Whiteboard_A", plan.pick(2)), area, side=board_side, along=near, clearance=0.2)
     for _ in range(2):
         plan.in_some_corner(props.model("SM_Plant_A", plan.pick(12)), area)
     _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_Printer", "SM_Cabinet", "SM_FireExtinguisher_02"))
@@ -158,10 +158,10 @@ def _private(plan: FloorPlan, room: Room) -> None:
     sofa_side, desk_side = ("E", "W") if rng.random() < 0.5 else ("W", "E")
     along = float(rng.uniform(0.55, 0.65))
     along = along if room.outer == "N" else 1.0 - along
-    _wall_workplace(plan, area, desk_side, along, plan.pick(12))
-    plan.against(props.model("SM_Sofa_A", plan.pick(6)), area, sofa_side, along, 0.3)
+    _wall_workplace(plan, area, side=desk_side, along=along, look=plan.pick(12))
+    plan.against(props.model("SM_Sofa_A", plan.pick(6)), area, side=sofa_side, along=along, clearance=0.3)
     chair = props.model("SM_ChairVisitor_C", plan.pick(5))
-    plan.against(chair, area, room.outer, float(rng.uniform(0.4, 0.6)), 0.3, 0.08)
+    plan.against(chair, area, side=room.outer, along=float(rng.uniform(0.4, 0.6)), clearance=0.3, gap=0.08)
     plan.against_somewhere(props.model("SM_Cabinet", 2), area, "EW", 0.3)
     plan.in_some_corner(props.model("SM_Plant_A", plan.pick(12)), area)
     _along(plan, room, ("SM_TrashCan_A", "SM_CoatStand"))
@@ -176,7 +176,14 @@ def _lounge(plan: FloorPlan, room: Room) -> None:
     rug = (FABRIC_RED, FABRIC_BLUE, FABRIC_GREEN)[plan.pick(3)]
     marking(plan, Rectangle(x - 1.1, y - 0.8, x + 1.1, y + 0.8), rug)
     for number, side in enumerate((room.outer, "E", "W")):
-        plan.against(props.model("SM_Sofa_A", look + number), area, side, float(rng.uniform(0.4, 0.6)), 0.5, 0.05)
+        plan.against(
+            props.model("SM_Sofa_A", look + number),
+            area,
+            side=side,
+            along=float(rng.uniform(0.4, 0.6)),
+            clearance=0.5,
+            gap=0.05,
+        )
     corner_x = x + (1 if rng.random() < 0.5 else -1) * float(rng.uniform(1.0, 1.2))
     corner_y = y + (1.35 if room.outer == "N" else -1.35)
     plan.place(props.model("SM_TableCoffee_D", plan.pick(4)), corner_x, corner_y, 0.0, area, 0.2)
@@ -198,8 +205,8 @@ def _kitchen(plan: FloorPlan, room: Room) -> None:
     """Places a row of kitchen units on one wall, two round tables with a few chairs, bins and a fridge."""
     area, rng, props = room.area, plan.rng, plan.props
     run = "EW"[plan.pick(2)]
-    plan.against(props.model("SM_KitchenCounter", plan.pick(3)), area, run, 0.5, 0.0, 0.0)
-    plan.against(props.model("SM_Fridge", 0), area, run, 0.99 if room.outer == "N" else 0.01, 0.02)
+    plan.against(props.model("SM_KitchenCounter", plan.pick(3)), area, side=run, along=0.5, clearance=0.0, gap=0.0)
+    plan.against(props.model("SM_Fridge", 0), area, side=run, along=0.99 if room.outer == "N" else 0.01, clearance=0.02)
     look, kind = plan.pick(5), ("SM_ChairWood_D", "SM_ChairWaiting_E")[plan.pick(2)]
     shift = 0.8 if run == "W" else -0.8
     for share in (0.3, 0.72):

@@ -14,10 +14,12 @@ from factory.scenes.author.room import Trim, ceiling_slab, floor, high_bay_lamps
 
 CONCRETE = textured("Concrete", "#a9a8a3", 3.0, 0.7)
 PANELS = textured("WallPanel", "#cfd3d4", 2.0, 0.6)
-ROOF = tinted("WallPanel", "RoofSheet", "#b4bac0", 4.0, 0.8)
+ROOF = tinted("WallPanel", "RoofSheet", colour="#b4bac0", tile_m=4.0, roughness=0.8)
 YELLOW = painted("Yellow", 0.6)
 HAZARD = textured("Hazard", "#d8ac20", 0.5, 0.7)
-KICK = Trim(dado=tinted("Plaster", "KickWall", "#7d868d", 1.0, 0.8), dado_top_m=1.1, has_sockets=False)
+KICK = Trim(
+    dado=tinted("Plaster", "KickWall", colour="#7d868d", tile_m=1.0, roughness=0.8), dado_top_m=1.1, has_sockets=False
+)
 HEIGHT_M = 6.0
 BAY_M = 2.72
 RACK_DEPTH_M = 0.84
@@ -80,14 +82,23 @@ def _shell(plan: FloorPlan, hall: Rectangle, gates: int) -> None:
     high_bay_lamps(plan, hall, HEIGHT_M, 5.0)
     faces = (PANELS, PANELS)
     for y in (hall.y0, hall.y1):
-        wall(plan, True, y, (hall.x0 - 0.06, hall.x1 + 0.06), faces, (), HEIGHT_M, (KICK, KICK))
+        wall(
+            plan,
+            True,
+            at=y,
+            span=(hall.x0 - 0.06, hall.x1 + 0.06),
+            faces=faces,
+            doors=(),
+            height=HEIGHT_M,
+            trims=(KICK, KICK),
+        )
     for x in (hall.x0, hall.x1):
-        wall(plan, False, x, (hall.y0, hall.y1), faces, (), HEIGHT_M, (KICK, KICK))
+        wall(plan, False, at=x, span=(hall.y0, hall.y1), faces=faces, doors=(), height=HEIGHT_M, trims=(KICK, KICK))
     inside, props = hall.grown(-0.06), plan.props
     gate_side = "EW"[plan.pick(2)]
     gate = props.model("SM_RollerGate", 0)
     for number in range(gates):
-        x, y, yaw = wall_pose(gate, inside, gate_side, (number + 0.5) / gates, 0.0)
+        x, y, yaw = wall_pose(gate, inside, side=gate_side, along=(number + 0.5) / gates, gap=0.0)
         plan.add(gate, x, y, yaw)
         x0, x1 = (hall.x1 - 1.8, hall.x1) if gate_side == "E" else (hall.x0, 1.8)
         plan.keep_clear(Rectangle(x0, y - 1.7, x1, y + 1.7))
@@ -139,7 +150,7 @@ def _wall_shelves(plan: FloorPlan, inside: Rectangle, count: int) -> None:
     """Places shelf units with their backs to the east and west walls."""
     for number in range(count):
         model = plan.props.model("SM_ShelfSteel_A", plan.pick(8))
-        plan.against_somewhere(model, inside, "EW", 0.05 if number % 2 else 0.5, 30)
+        plan.against_somewhere(model, inside, sides="EW", clearance=0.05 if number % 2 else 0.5, tries=30)
 
 
 def _floor_goods(plan: FloorPlan, inside: Rectangle, singles: int, clusters: int) -> None:

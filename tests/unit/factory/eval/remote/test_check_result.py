@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from factory.eval.driving.rollout import progresses, request_fields
-from factory.eval.models.messages import EvalRequest, EvalTask, Setup
+from factory.eval.models.messages import EvalRequest, EvalSetup, EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
 from factory.eval.policies.registry import PolicyNote
@@ -44,7 +44,7 @@ TASK = EvalTask(
     number=1,
     policy="m:P",
     request=EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction=spec_of().instruction),
-    setup=Setup(settings=SETTINGS),
+    setup=EvalSetup(settings=SETTINGS),
 )
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="x", software={})
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.eval.models.messages import EvalTask, Setup
+from factory.eval.models.messages import EvalSetup, EvalTask
 from factory.eval.models.result import Variant
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.specs.campaign import Campaign, with_actions
@@ -30,7 +30,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def campaign(drives: Dataset) -> Campaign:
     """The same episode with two policies."""
     specs = specs_of_dataset(drives, [Split.TRAIN_ID])
-    return Campaign(specs, drives.root, ("stop", "replay"), (Variant.ORIGINAL,), Setup(settings=specs.settings))
+    return Campaign(specs, drives.root, ("stop", "replay"), (Variant.ORIGINAL,), EvalSetup(settings=specs.settings))
 
 
 def plan_for(campaign: Campaign, drives: Dataset) -> Plan:
@@ -60,7 +60,7 @@ def test_every_setting_that_affects_results_changes_the_run_name(
     others = [
         dataclasses.replace(campaign, policies=("stop",)),
         dataclasses.replace(campaign, with_pose=True),
-        dataclasses.replace(campaign, specs=specs, setup=Setup(settings=slower)),
+        dataclasses.replace(campaign, specs=specs, setup=EvalSetup(settings=slower)),
         dataclasses.replace(campaign, setup=campaign.setup.model_copy(update={"act_timeout_s": 1.0})),
     ]
     learned = dataclasses.replace(campaign, policies=(f"bc:{tmp_path}",))
