@@ -19,7 +19,7 @@ from schemas.instruction.start_view import StartView
 from schemas.plan import MAX_EPISODES
 from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.terms import Recording
-from tests.acceptance.factory_cli import Command
+from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.dataset import make_dataset
 
 pytestmark = pytest.mark.gl
