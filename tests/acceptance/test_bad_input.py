@@ -118,6 +118,7 @@ def test_a_dataset_of_a_newer_format_is_refused_with_the_format_number(command, 
     assert "newer" in err or "upgrade" in err
 
 
+@pytest.mark.slow
 def test_truncated_and_foreign_files_among_the_episodes_are_found_and_repaired(factory, command, reference, tmp_path):
     root = tmp_path / "hurt"
     shutil.copytree(reference, root)

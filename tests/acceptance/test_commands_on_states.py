@@ -70,6 +70,7 @@ def test_a_command_writes_the_same_file(command: Command, recordings: Recordings
     assert files[0] == files[1]
 
 
+@pytest.mark.slow
 def test_a_report_has_the_same_figures(command: Command, recordings: Recordings, tmp_path: Path) -> None:
     for record in Recording:
         command("report", recordings[record], "-o", tmp_path / record)
@@ -79,6 +80,7 @@ def test_a_report_has_the_same_figures(command: Command, recordings: Recordings,
     ]
 
 
+@pytest.mark.slow
 def test_an_evaluation_has_the_same_results(command: Command, recordings: Recordings, tmp_path: Path) -> None:
     results = []
     for record in Recording:

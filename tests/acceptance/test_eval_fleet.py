@@ -49,6 +49,7 @@ def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
     return found
 
 
+@pytest.mark.slow
 def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:

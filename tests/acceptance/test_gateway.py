@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.acceptance.factory_cli import Command, FactoryCli, wait_for
 from tests.builders.ports import free_endpoint
 
 
+@pytest.mark.slow
 def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
     factory: FactoryCli, command: Command, plan: Path, reference: Path, tmp_path: Path
 ):

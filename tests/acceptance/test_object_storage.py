@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from tests.acceptance.factory_cli import Command, FactoryCli
 
 
+@pytest.mark.slow
 def test_a_run_into_a_bucket_is_made_resumed_verified_and_reported(plan, cache, object_store, tmp_path):
     state = tmp_path / "state"
     variables = {**object_store.variables(), "MINIVLA_STATE": str(state)}
@@ -21,7 +24,7 @@ def test_a_run_into_a_bucket_is_made_resumed_verified_and_reported(plan, cache, 
         checked = command.json("verify", url, "--deep")
         assert (checked["ok"], checked["complete"], checked["digest"]) == (True, True, made["digest"])
         assert command.json("status", url)["finished"]
-        read = command.json("bench", "read", url, "--frames", 4, "--repeats", 1, "--workers", 0)
+        read = factory.json("bench", "read", url, "--frames", 4, "--repeats", 1, "--workers", 0)
         assert (read["episodes"], read["frames"]) == (1, 4)
         assert f"supports dataset directories only, not {url}" in command("push", url, "me/tiny", expect=2).stderr
         assert "supports dataset directories only, not" in command("eval", url, expect=2).stderr

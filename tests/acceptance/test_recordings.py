@@ -12,7 +12,7 @@ from tests.acceptance.compare_recordings import EXPORTS, Difference, compare_dat
 from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.shared import build_once
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.slow]
 
 
 @pytest.fixture(scope="session")

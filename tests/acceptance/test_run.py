@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 
 import pyarrow.parquet as pq
+import pytest
 
 from tests.acceptance.factory_cli import Command, episodes_in, kill_group, wait_for
 from tests.builders.ports import free_endpoint
@@ -42,6 +43,7 @@ def test_a_run_of_one_episode_starts_one_worker(factory, plan, tmp_path):
     assert done.stderr.count("worker_started") == 1
 
 
+@pytest.mark.slow
 def test_kills_of_coordinator_and_worker_neither_lose_nor_change_data(factory, command, plan, reference, tmp_path):
     root, endpoint = tmp_path / "chaos", free_endpoint()
 
@@ -78,6 +80,7 @@ def test_an_interrupted_run_resumes_and_repeats_no_episode(factory, command, pla
     assert digest_of(command, root) == digest_of(command, reference)
 
 
+@pytest.mark.slow
 def test_a_killed_run_ends_its_workers_and_can_be_resumed(factory, command, plan, states, tmp_path):
     root = tmp_path / "killed"
     running = factory.start("run", plan, "--record", "states", "--out", root, "--workers", 2)

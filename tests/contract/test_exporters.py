@@ -128,6 +128,7 @@ run_export(order, lambda progress: os._exit(9) if progress.done else None)
 """
 
 
+@pytest.mark.slow
 @every_format
 def test_full_disk_and_kill_leave_only_whole_files(
     dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str

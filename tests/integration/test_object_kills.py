@@ -134,6 +134,7 @@ def episodes(root: Place) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in children(root / "episodes")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", STEPS, ids=str)
 def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_an_episode(
     step: Step,

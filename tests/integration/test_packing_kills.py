@@ -124,6 +124,7 @@ def test_a_packing_killed_at_any_step_loses_and_duplicates_nothing(files: Path, 
     assert len(shards) == 1
 
 
+@pytest.mark.slow
 def test_a_restart_after_a_kill_loses_and_duplicates_nothing_if_the_restart_is_killed_too(
     files: Path, packed: Path, tmp_path: Path
 ) -> None:
@@ -142,6 +143,7 @@ def test_a_restart_after_a_kill_loses_and_duplicates_nothing_if_the_restart_is_k
         assert quarantined(root) == [b"other"]
 
 
+@pytest.mark.slow
 def test_a_quarantine_of_a_packed_episode_killed_at_any_step_keeps_its_bytes(packed: Path, tmp_path: Path) -> None:
     work = "archive = open_archive(root); archive.quarantine(archive.path_of(5), 'torn')"
     kills = kill_at_each_step(tmp_path / "kills", packed, work)

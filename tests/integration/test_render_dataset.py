@@ -62,6 +62,7 @@ def test_the_rendered_dataset_has_the_digest_of_the_frames_recording(
     assert [episode.meta.provenance for episode in Dataset(out)] == [episode.meta.provenance for episode in recorded]
 
 
+@pytest.mark.slow
 def test_an_interrupted_rendering_continues_and_makes_no_episode_twice(
     factory: FactoryCli, recordings: Recordings, tmp_path: Path
 ) -> None:

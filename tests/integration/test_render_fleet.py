@@ -27,6 +27,7 @@ def test_workers_render_the_states_of_a_coordinator(
     assert Dataset(out).digest == Dataset(recordings[Recording.FRAMES]).digest
 
 
+@pytest.mark.slow
 def test_episodes_that_are_rendered_at_gateways_are_gathered(
     factory: FactoryCli, command: Command, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
