@@ -182,7 +182,8 @@ test-ray: $(READY)
 test-train: $(TRAIN)/.ready
 	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/dataset tests/integration/test_train.py \
 		tests/integration/test_render_training.py tests/integration/test_render_on_read.py \
-		tests/integration/test_recipes.py tests/integration/test_training_libraries.py
+		tests/integration/test_recipes.py tests/integration/test_training_libraries.py \
+		tests/integration/test_tutorial.py
 
 $(TRAIN)/.ready: requirements.txt
 	$(PYTHON) -m venv $(TRAIN)

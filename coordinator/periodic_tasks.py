@@ -40,6 +40,11 @@ class PeriodicTasks(Closing):
     def is_alive(self) -> bool:
         return self._thread.is_alive()
 
+    def require_no_fault(self) -> None:
+        """Raises `RuntimeError` if a task fails by an error of this software; see `Repeated.require_no_fault`."""
+        for failing in self._failing.values():
+            failing.require_no_fault()
+
     def close(self) -> None:
         self._stop.set()
         self._thread.join()

@@ -84,17 +84,19 @@ class Coordinator(Closing):
             self._pullers = stack.enter_context(self._open_pullers(run, options.find_local_bundle, root, scenes))
             stack.callback(run.checker.close)  # before the pullers end, so they do not wait for a long validation
             housekeeping.check_free_space()
-            handler = stack.enter_context(self._open_request_handler(run, options.on_joined))
+            self._handler = handler = stack.enter_context(self._open_request_handler(run, options.on_joined))
             self._router = stack.enter_context(_open_router(run, options, handler))
-            stack.enter_context(PeriodicTasks(housekeeping.table(self._router.admit)))
+            self._periodic_tasks = [stack.enter_context(PeriodicTasks(housekeeping.table(self._router.admit)))]
             # the tables have a separate thread, so the expiry of leases does not wait for the tables of a large run
             tables = {
                 "write_tables": (options.settings.checkpoint_s, self._tables.write),
                 "write_first_tables": (_FIRST_TABLES_S, self._tables.write_first),
             }
-            stack.enter_context(PeriodicTasks(tables))
+            self._periodic_tasks.append(stack.enter_context(PeriodicTasks(tables)))
             rechecks = Rechecks(run, self._tables.note_change)
-            stack.enter_context(PeriodicTasks({"recheck": (_RECHECK_S, rechecks.check_some)}))
+            self._periodic_tasks.append(
+                stack.enter_context(PeriodicTasks({"recheck": (_RECHECK_S, rechecks.check_some)}))
+            )
             self.health = self._measured(run)
             """Health and metrics of the coordinator."""
             self.reachable = usable_endpoints(self.endpoints, options.hosts or (socket.gethostname(),))
@@ -117,7 +119,15 @@ class Coordinator(Closing):
         return self._run.ledger.progress().model_copy(update={"shards": len(self._run.archive.shards())})
 
     def is_finished(self) -> bool:
-        """Returns whether no job can change any more without an admin request."""
+        """Returns whether no job can change any more without an admin request.
+
+        Raises:
+            RuntimeError: the coordinator fails by an error of this software that repetition cannot change.
+        """
+        self._pullers.require_no_fault()
+        self._handler.require_no_fault()
+        for tasks in self._periodic_tasks:
+            tasks.require_no_fault()
         return self._run.ledger.is_finished()
 
     def wait(self, timeout_s: float | None = None, stop: threading.Event | None = None) -> bool:
@@ -129,6 +139,9 @@ class Coordinator(Closing):
 
         Returns:
             Whether the run is finished.
+
+        Raises:
+            RuntimeError: see `is_finished`.
         """
         stop = stop or threading.Event()
         left = timeout_s

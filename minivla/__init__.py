@@ -1,8 +1,10 @@
 """Public API of minivla-factory: read datasets, feed them to PyTorch, and drive episodes as a Gymnasium environment.
 
->>> from minivla import Dataset
->>> dataset = Dataset("dataset").filter(split="train_id")  # doctest: +SKIP
->>> dataset[0].frame(0).rgb.shape  # doctest: +SKIP
+>>> import minivla
+>>> episode = minivla.sample()[0]  # four episodes that the package contains; minivla.Dataset opens your own
+>>> episode.instruction
+'If you could, drive to the monitor nearest to the printer.'
+>>> episode.frame(0).rgb.shape  # doctest: +SKIP
 (640, 640, 3)
 
 A dataset stores frames, or states only, from which the same frames are rendered, byte for byte, when they are read.
@@ -18,6 +20,7 @@ from __future__ import annotations
 import importlib
 import sys
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from minivla.packages import require_own_packages
@@ -27,7 +30,7 @@ if TYPE_CHECKING:
     from factory.dataset.sampler import SceneSampler
     from factory.dataset.torch import ClipDataset, FrameDataset, collate
 
-__all__ = ["ClipDataset", "Dataset", "Episode", "Frame", "FrameDataset", "SceneSampler", "collate"]
+__all__ = ["ClipDataset", "Dataset", "Episode", "Frame", "FrameDataset", "SceneSampler", "collate", "sample"]
 
 _HOMES = {
     "ClipDataset": "factory.dataset.torch",
@@ -38,6 +41,8 @@ _HOMES = {
     "SceneSampler": "factory.dataset.sampler",
     "collate": "factory.dataset.torch",
 }
+
+_SAMPLE = Path(__file__).with_name("sample_data")
 
 if "gymnasium" in sys.modules:  # registers the environment, so the id `minivla:MiniVLANav-v0` works too
     importlib.import_module("minivla.gym")
@@ -57,6 +62,21 @@ def __getattr__(name: str) -> Any:
     value = getattr(importlib.import_module(_HOMES[name]), name)
     globals()[name] = value
     return value
+
+
+def sample() -> Dataset:
+    """Opens the sample that the package contains: two episodes in an office and two in a hospital, recorded as states.
+
+    Its instructions are verified, and it has questions. Frames are rendered when they are read.
+
+    Raises:
+        ImportError: a foreign package hides a package of the product.
+        UsageError: the installation lacks the files of the sample.
+    """
+    require_own_packages()
+    from factory.dataset.reader import Dataset
+
+    return Dataset(_SAMPLE)
 
 
 def __dir__() -> list[str]:

@@ -24,6 +24,7 @@ from pydantic import (
 )
 
 from schemas.base import Fraction, Model, Name
+from schemas.support.suggest import did_you_mean
 from schemas.terms import (
     BUILTIN_CATEGORIES,
     CATEGORIES,
@@ -42,6 +43,11 @@ _LATER_KEYS = frozenset(
     | {"unit", "up", "models", "skip_missing", "floor_m", "layouts", "unseen_layouts"}
 )
 """Keys added after the first version; they are omitted from the digest if unused, so older digests stay valid."""
+
+
+def _is_given(value: object) -> bool:
+    """Returns whether a serialised value is neither null, false nor empty; the number 0 is a value."""
+    return bool(value) or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
 class ScenePlan(Model):
@@ -97,7 +103,7 @@ class ScenePlan(Model):
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         data: dict[str, object] = serialize(self)
-        used = {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
+        used = {key: value for key, value in data.items() if key not in _LATER_KEYS or _is_given(value)}
         return {"usd" if key == "file" else key: value for key, value in used.items()}
 
     @property
@@ -118,8 +124,8 @@ class ScenePlan(Model):
     @classmethod
     def _is_a_known_scene(cls, name: str, others: ValidationInfo) -> str:
         if others.data.get("file") is None and family_of(name) not in BUILTIN_CATEGORIES:
-            known = ", ".join(BUILTIN_CATEGORIES)
-            raise ValueError(f"not a built-in scene ({known}); for a scene of a file give `file = PATH`")
+            known, meant = ", ".join(BUILTIN_CATEGORIES), did_you_mean(name, BUILTIN_CATEGORIES)
+            raise ValueError(f"not a built-in scene ({known}); for a scene of a file give `file = PATH`{meant}")
         return name
 
     @field_validator("seen", "held_out")

@@ -33,6 +33,7 @@ from schemas.storage.object_path import ObjectPath
 from schemas.storage.packed_path import PackedPath
 from schemas.storage.place import Place, digest_of
 from schemas.support.closing import Closing
+from schemas.support.shell import quoted
 
 _LOCK = ".lock"
 _NAME = ".name"
@@ -217,7 +218,7 @@ class ObjectArchive(PackingArchive, SceneStore, Closing):
                 raise WorldError(
                     f"{self.root} is in use by another coordinator, that of {holder.get('directory')} on host "
                     f"{holder.get('host')}; stop it first, or choose another --out. If it will not run again: "
-                    f"`factory repair --take-over {self.root}`"
+                    f"`factory repair --take-over {quoted(self.root)}`"
                 ) from error
         try:
             self._objects.put_new(_LOCK, mine)

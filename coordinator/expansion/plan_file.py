@@ -5,9 +5,9 @@ No other module reads plan files. This module does not read scenes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import tomli_w
 from pydantic import ValidationError
@@ -18,15 +18,18 @@ from schemas.builtin import BUILTIN_APPEARANCES, BUILTIN_RIGS
 from schemas.config import CameraConfig
 from schemas.errors import InvalidPlan, InvalidRig, UsageError
 from schemas.layouts import with_episodes
-from schemas.plan import Plan, ScenePlan
+from schemas.plan import MAX_EPISODES, Plan, ScenePlan
 from schemas.rig import Rig
 from schemas.rig.arrays import rig_faults
 from schemas.rig.rig_file import load_rig, paper_rig
 from schemas.support.apportion import apportion
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
-from schemas.support.toml_file import mistakes_of, read_toml
+from schemas.support.toml_file import describe_mistakes, read_toml
 from schemas.terms import ExpertName, Recording, SuccessMeasure
+
+_MOST_ROUNDS = 5
+"""Number of times that a plan is validated again without its wrong keys, to find further mistakes."""
 
 
 def plan_to_toml(plan: Plan) -> str:
@@ -68,7 +71,7 @@ def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) 
     if isinstance(shown, str):
         data["appearance"] = find_appearance(shown if shown in BUILTIN_APPEARANCES else str(path.parent / shown))
     named = data.pop("rig") if isinstance(data.get("rig"), str) else None
-    plan = parse_plan(data, str(path), base=path.parent)
+    plan = parse_plan(data, str(path), base=path.parent, text=path.read_text(encoding="utf-8"))
     if named is None:
         return with_rig(plan, plan.rig)
     return with_rig(plan, load_rig(named if named in BUILTIN_RIGS else str(path.parent / named), control_hz=None))
@@ -85,13 +88,14 @@ def _absent_message(reference: str, path: Path) -> str:
     return f"no plan {reference!r}: no such file, and {known}{meant}"
 
 
-def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Plan:
+def parse_plan(data: dict[str, Any], where: str, base: Path | None = None, text: str = "") -> Plan:
     """Validates a plan given as plain data.
 
     Args:
         data: data as parsed from TOML.
         where: name of the source for error messages.
         base: folder that relative paths are resolved against; `None` leaves the paths unchanged.
+        text: the TOML text of the data, for the lines of the mistakes.
 
     Raises:
         InvalidPlan: the plan has mistakes; the error has one line per mistake, with its key.
@@ -99,13 +103,92 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
     try:
         plan = Plan.model_validate(data)
     except ValidationError as error:
-        raise InvalidPlan(f"{where} is not a valid plan", mistakes_of(error)) from error
+        mistakes = _all_mistakes(data, error, text) + _implausible(data, text)
+        raise InvalidPlan(f"{where} is not a valid plan", mistakes) from error
+    # the models accept implausible values, because datasets may contain them
+    if text and (mistakes := _implausible(data, text)):
+        raise InvalidPlan(f"{where} is not a valid plan", mistakes)
     if base is None:
         return plan
     try:
         return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
     except (ValueError, OSError, RuntimeError) as error:  # a path has a NUL byte, or symbolic links form a loop
         raise InvalidPlan(f"{where} is not a valid plan", [f"a file of its scenes cannot be found: {error}"]) from error
+
+
+def _all_mistakes(data: dict[str, Any], error: ValidationError, text: str) -> list[str]:
+    """Returns the mistakes of a plan, including those that pydantic finds only when the first ones are corrected."""
+    items: list[Any] = []
+    removed: set[str] = set()
+    for _ in range(_MOST_ROUNDS):
+        new = [item for item in error.errors() if not any(name in str(item["msg"]) for name in removed)]
+        items += [item for item in new if item["type"] != "missing" or str(item["loc"][-1]) not in removed]
+        locations = [item["loc"] for item in error.errors() if item["loc"]]
+        removed |= {str(location[min(2, len(location) - 1)]) for location in locations}
+        data = _without(data, locations)
+        if not locations or not data.get("scenes"):
+            break
+        try:
+            Plan.model_validate(data)
+        except ValidationError as found:
+            error = found
+        else:
+            break
+    return describe_mistakes(items, text, Plan)
+
+
+def _without(data: dict[str, Any], locations: Sequence[tuple[str | int, ...]]) -> dict[str, Any]:
+    """Returns a plan without the tables and the keys of scenes at some locations; replaces scenes without a name."""
+    tables = {location[0] for location in locations if location[0] != "scenes"}
+    rest = {key: value for key, value in data.items() if key not in tables}
+    scenes = rest.get("scenes")
+    if not isinstance(scenes, list):
+        return {**rest, "scenes": []}
+    kept = []
+    for number, scene in enumerate(scenes):
+        wrong = {at[2] if len(at) > 2 else "" for at in locations if at[:2] == ("scenes", number)}
+        if not isinstance(scene, dict) or "" in wrong or ("name" in wrong and "file" not in scene):
+            kept.append({"name": f"office_{number:05}", "episodes": 1})  # keeps the numbers of the other scenes
+            continue
+        valid = {"episodes": MAX_EPISODES // len(scenes), "name": f"scene_{number}"}
+        right = {key: value for key, value in scene.items() if key not in wrong}
+        kept.append({**right, **{key: value for key, value in valid.items() if key in wrong}})
+    return {**rest, "scenes": kept}
+
+
+class _Plausible(NamedTuple):
+    """Range of a value outside which it is probably in another unit."""
+
+    key: str
+    lowest: float
+    highest: float
+    remark: str
+
+
+_PLAUSIBLE = (
+    _Plausible("camera.fov_deg", 10, 170, "degrees, not radians (90 degrees are 1.57 rad)"),
+    _Plausible("camera.z_m", 0, 5, "metres, not centimetres"),
+    _Plausible("camera.near_m", 0, 2, "metres, not centimetres"),
+    _Plausible("camera.far_m", 1, 1000, "metres"),
+    _Plausible("spawn.heading_noise_rad", 0, 3.15, "radians, not degrees (25 degrees are 0.44 rad)"),
+    _Plausible("spawn.margin_m", 0, 2, "metres, not centimetres"),
+    _Plausible("spawn.approach_clearance_m", 0, 2, "metres, not centimetres"),
+    _Plausible("spawn.max_displacement_m", 0, 2, "metres, not centimetres"),
+    _Plausible("task.success_radius_m", 0.05, 10, "metres, not centimetres"),
+    _Plausible("task.control_hz", 1, 240, "steps per second, not seconds per step"),
+)
+
+
+def _implausible(data: Mapping[str, Any], text: str) -> list[str]:
+    """Returns one sentence for each value that is probably in another unit."""
+    items = []
+    for key, lowest, highest, remark in _PLAUSIBLE:
+        table, name = key.split(".")
+        value = data[table].get(name) if isinstance(data.get(table), dict) else None
+        if isinstance(value, int | float) and not isinstance(value, bool) and not lowest <= value <= highest:
+            message = f"not plausible; the unit is {remark}; valid: {lowest:g} to {highest:g}"
+            items.append({"loc": (table, name), "type": "implausible", "msg": message, "input": value})
+    return describe_mistakes(items, text)
 
 
 def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:

@@ -13,15 +13,6 @@ from schemas.plan import Plan, ScenePlan
 from schemas.terms import SuccessMeasure
 
 
-def require_possible(plan: Plan, catalog: Catalog) -> None:
-    """Checks that every cell of a plan has a target; `expand` checks it too.
-
-    Raises:
-        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
-    """
-    raise_if_impossible(plan, tuple(each_scene(plan, catalog)))
-
-
 def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
     """Returns a line for each fault: a scene that lacks categories, or a cell without a target."""
     return _find_impossible(plan, each_scene(plan, catalog))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.scene_cells import SceneCells, each_scene
+from coordinator.expansion.scene_cells import SceneCells
 from schemas.language.compose import Probe, composer_of, explain_impossible
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
@@ -35,14 +34,14 @@ def scene_language(package: Path) -> SceneLanguage:
     return SceneLanguage(build_graph(read_geometry(package)))
 
 
-def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
+def find_missing_instructions(plan: Plan, scenes: Iterable[SceneCells]) -> list[str]:
     """Returns a line for each scene that has no instruction for the language block of a plan.
 
     A line names the features that are possible in the scene.
 
     Args:
         plan: plan; without a language block, the result is empty.
-        catalog: scenes of the plan, which fulfil its other requirements.
+        scenes: scenes of the plan that fulfil its other requirements: all, or a layout that was built.
     """
     if plan.language is None:
         return []
@@ -50,7 +49,7 @@ def find_missing_instructions(plan: Plan, catalog: Catalog) -> list[str]:
         [name for each in plan.scenes for name in sum(each.categories, ())]
     )
     missing_instructions = [f"language: {line}" for line in nouns]
-    for number, cells in enumerate(each_scene(plan, catalog) if not missing_instructions else ()):
+    for number, cells in enumerate(scenes if not missing_instructions else ()):
         package = cells.entry.path
         probes = list(_probes(plan, cells, read_geometry(package), scene_language(package)))
         why = explain_impossible(scene_language(package), plan.language, probes) if probes else ""

@@ -37,6 +37,7 @@ from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import FilePlace, digest_of
 from schemas.storage.shard_index import episode_place
 from schemas.storage.shards import MAX_SHARD_EPISODES, range_of
+from schemas.support.shell import quoted
 
 _COPY_BYTES = 1 << 20
 ProgressCallback = Callable[[int, int], None]
@@ -143,7 +144,7 @@ def gather(
 
 def _require_ledger(dataset: RepairInput) -> None:
     if dataset.foreign_ledger:
-        raise WorldError(f"the ledger {dataset.foreign_ledger}; `factory repair {dataset.root}` replaces it")
+        raise WorldError(f"the ledger {dataset.foreign_ledger}; `factory repair {quoted(dataset.root)}` replaces it")
     require_sound(dataset.url)
 
 

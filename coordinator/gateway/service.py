@@ -95,6 +95,11 @@ class Gateway(Closing):
         """Endpoints for workers."""
         return self._node.endpoints
 
+    def require_no_fault(self) -> None:
+        """Raises `RuntimeError` if the gateway fails by an error of this software that repetition cannot change."""
+        self._pullers.require_no_fault()
+        self._periodic_tasks.require_no_fault()
+
     def is_alive(self) -> bool:
         """Returns whether the thread that fetches orders runs; if it has ended, restart the process."""
         return self._periodic_tasks.is_alive

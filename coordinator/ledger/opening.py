@@ -34,6 +34,7 @@ from schemas.plan import Plan
 from schemas.storage.dataset_files import LEDGER_FILE
 
 _INSERT_ROWS = 5000
+_MOST_DIFFERENCES, _VALUE_CHARS = 12, 60
 _SCENES = TypeAdapter(dict[str, Sha256])
 _SANDBOX, _SHARD = "sandbox", "shard"
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
@@ -265,7 +266,33 @@ def require_plan(recorded: Plan, plan: Plan) -> None:
             f"the directory contains run {recorded.run} ({recorded.episodes} episodes, seed {recorded.seed}), but "
             f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}) was requested: to continue it, run "
             "`factory run --out DIR` without PLAN and its options; otherwise choose another --out"
+            + "".join(f"\n  - {line}" for line in plan_differences(recorded, plan))
         )
+
+
+def plan_differences(recorded: Plan, plan: Plan) -> list[str]:
+    """Returns a line for each key whose value differs between two plans, with both values."""
+    former, wanted = (dict(_flat(one.model_dump(mode="json"))) for one in (recorded, plan))
+    keys = [key for key in {**former, **wanted} if former.get(key) != wanted.get(key)]
+    lines = [f"{key}: recorded {_shown(former.get(key))}, requested {_shown(wanted.get(key))}" for key in keys]
+    return lines if len(lines) <= _MOST_DIFFERENCES else [*lines[:_MOST_DIFFERENCES], f"{len(lines)} keys in all"]
+
+
+def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yields the values in nested data with their keys, e.g. `scenes[0].episodes`."""
+    if isinstance(value, dict) and value:
+        for name, inner in value.items():
+            yield from _flat(inner, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for number, inner in enumerate(value):
+            yield from _flat(inner, f"{key}[{number}]")
+    else:
+        yield key, value
+
+
+def _shown(value: Any) -> str:
+    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _VALUE_CHARS else f"{text[:_VALUE_CHARS]}..."
 
 
 def require_shard(recorded: RunShard | None, shard: RunShard | None) -> None:

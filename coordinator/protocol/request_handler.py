@@ -125,6 +125,9 @@ class RequestHandler(Closing):
         self._meters = meters or Meters()
         self._reads = ThreadPoolExecutor(1, thread_name_prefix="ledger-reader")
         self._unread = Repeated(log, "read_failed", (SQLAlchemyError,))
+        self._failing = {
+            str(verb): Repeated(log.bind(verb=verb), "request_failed", (SQLAlchemyError,)) for verb in _VERBS
+        }
         self._free_reads = threading.Semaphore(_READS_WAITING)
         self._load = Load(backlog, _WAITING_BYTES)
         self._limit = LogLimit()
@@ -149,6 +152,11 @@ class RequestHandler(Closing):
             return  # the leases expire later without this request
         hint_s = self._terms.lease_ttl_s / 2
         self._writer.submit(lambda connection: claims.shorten(connection, sid, self._clock(), hint_s))
+
+    def require_no_fault(self) -> None:
+        """Raises `RuntimeError` if a verb fails by an error of this software; see `Repeated.require_no_fault`."""
+        for failing in (*self._failing.values(), self._unread):
+            failing.require_no_fault()
 
     def close(self) -> None:
         """Ends the reading thread."""
@@ -184,6 +192,8 @@ class RequestHandler(Closing):
                 self._fail(inquiry, error)
             else:
                 self._answer(inquiry, request, future.result())
+                if inquiry.verb in self._failing:
+                    self._failing[inquiry.verb].succeed()
         except Exception as unforeseen:  # noqa: BLE001 - see above
             self._fail(inquiry, unforeseen)
 
@@ -213,7 +223,10 @@ class RequestHandler(Closing):
         self._on_joined(hello)
 
     def _fail(self, inquiry: Inquiry, error: BaseException) -> None:
-        self._log(log.error, "request_failed", inquiry, error=describe_error(error))
+        if inquiry.verb in self._failing:
+            self._failing[inquiry.verb].fail(error, host=inquiry.host)
+        else:
+            self._log(log.error, "request_failed", inquiry, error=describe_error(error))
         inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed to process it; see its log"))
 
     def _log(self, write: Callable[..., None], event: str, inquiry: Inquiry, **fields: object) -> None:

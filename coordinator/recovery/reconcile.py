@@ -37,6 +37,7 @@ from schemas.dataset.rows import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError, WorldError
 from schemas.exchangeable import candidates_of
 from schemas.storage.place import FilePlace, Place, local_copy
+from schemas.support.shell import quoted
 
 log = structlog.get_logger(__name__)
 
@@ -221,7 +222,7 @@ def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> Non
     if is_server(url) and "lacks the tables" not in trouble:
         raise WorldError(
             f"the ledger {shown_url(url)} {trouble}: restore the database from a backup, or give an empty one with "
-            f"--ledger; `factory repair {archive.root}` then rebuilds it from the episodes"
+            f"--ledger; `factory repair {quoted(archive.root)}` then rebuilds it from the episodes"
         )
     quarantine_ledger(archive, url, trouble)
     if episodes := len(archive.present()):

@@ -172,9 +172,10 @@ def unpacked(bundle: Path) -> Iterator[Path]:
 
 def layout_faults(plan: Plan, layout: str, entry: SceneEntry) -> Iterator[str]:
     """Yields the reasons why a package cannot be the layout of a plan, one line each."""
-    findings = list(faults_of(scene_cells(plan, plan.part(layout), entry), f"package of {layout}"))
+    cells = scene_cells(plan, plan.part(layout), entry)
+    findings = list(faults_of(cells, f"package of {layout}"))
     if not findings and plan.language is not None:
         from coordinator.expansion.sentences import find_missing_instructions  # loads the grammars
 
-        findings = find_missing_instructions(plan, {layout: entry})
+        findings = find_missing_instructions(plan, (cells,))
     yield from findings

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import structlog
+from sqlalchemy.exc import SQLAlchemyError
 
 from coordinator.archive.contract import Archive
 from coordinator.meters import Meter, Meters
@@ -56,7 +57,7 @@ class Pullers(Closing):
     ) -> None:
         self._settings = settings
         self._meters = meters = meters or Meters()
-        self._failing = Repeated(log, "pull_failed")
+        self._failing = Repeated(log, "pull_failed", (SQLAlchemyError,))
         self._on_archived = on_archived
         self._busy: set[int] = set()
         """Numbers of the episodes whose bundles are queued or in transfer."""
@@ -114,6 +115,10 @@ class Pullers(Closing):
     def busy_hosts(self) -> tuple[str, ...]:
         """Hosts with the maximum number of queued bundles."""
         return tuple(host for host, count in self._queue.sizes().items() if count >= _QUEUED * self._settings.pullers)
+
+    def require_no_fault(self) -> None:
+        """Raises `RuntimeError` if bundles fail by an error of this software; see `Repeated.require_no_fault`."""
+        self._failing.require_no_fault()
 
     def close(self) -> None:
         """Stops transfers at the next chunk and removes their part files."""

@@ -12,7 +12,6 @@ import contextlib
 import errno
 import os
 import queue
-import socket
 import stat
 import sys
 import time
@@ -39,8 +38,8 @@ from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
+from schemas.support.child_process import ChildProcess, Ended
 from schemas.support.closing import Closing
-from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess
 from schemas.support.log_limit import LogLimit
 
 _TRIES = 2
@@ -211,7 +210,7 @@ class Validator(Closing):
     def close(self) -> None:
         """Kills all children, including busy ones."""
         for child in self._all:
-            child.end()
+            child.close()
 
 
 class _Child:
@@ -219,9 +218,14 @@ class _Child:
 
     def __init__(self, limits: ValidatorLimits) -> None:
         self._limits = limits
-        self._process: JsonlProcess[bytes] | None = None
-        self._orders: socket.socket | None = None
-        self._ended = False
+        self._process: ChildProcess[bytes] = ChildProcess(
+            bytes,
+            start_s=_STARTUP_S,
+            silence_s=limits.wall_s,
+            stderr="discard",
+            max_line_bytes=_MOST_ANSWER_BYTES,
+        )
+        self._is_closed = False
         self.exit_description = ""
         self.was_ended = False
         """Whether a signal from outside, e.g. of a batch system, ended the last process."""
@@ -230,8 +234,11 @@ class _Child:
 
     def ask(self, order: ValidationOrder, bundles: Sequence[int]) -> tuple[Verdict, ...] | None:
         """Returns the verdict on each bundle, or `None` if the child terminated or was killed."""
-        process = self._started()
-        line = self._exchange(process, self._limits.wall_s, (order.model_dump_json().encode(), bundles))
+        if not self._process.is_alive:
+            self._start()
+        text = order.model_dump_json().encode()
+        self._process.send(HEADER.pack(len(text)) + text, bundles)
+        line = self._receive()
         with contextlib.suppress(ValidationError):
             verdicts = Verdicts.model_validate_json(line).verdicts
             if len(verdicts) == len(bundles):
@@ -239,76 +246,44 @@ class _Child:
         self._kill()
         return None
 
-    def _started(self) -> JsonlProcess[bytes]:
-        if self._ended:
+    def _start(self) -> None:
+        """Starts a child and waits until its sandbox is active."""
+        if self._is_closed:
             raise TransientError("the validator is closed: start the coordinator again")
-        if self._process is not None and self._process.is_running:
-            return self._process
-        self._kill()
-        self._process, self._orders = _spawn(self._limits)
-        word, *layers = self._exchange(self._process, _STARTUP_S).decode(errors="replace").split() or [""]
+        arguments = python_module("coordinator.validation.validator_child", self._limits.model_dump_json())
+        environment = {"PYTHONPATH": import_path(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+        try:
+            self._process.start(arguments, environment)
+        except OSError as error:
+            raise TransientError(f"the validating process does not start: {error}") from error
+        word, *layers = self._receive().decode(errors="replace").split() or [""]
         self.layers = tuple(layers)
         if word != "ready":
             self._kill()
             raise TransientError(
                 f"the validating process does not start ({self.exit_description}): check the free memory"
             )
-        return self._process
 
-    def _exchange(
-        self, process: JsonlProcess[bytes], limit_s: float, order: tuple[bytes, Sequence[int]] | None = None
-    ) -> bytes:
-        """Sends an order with its bundles, if any, and returns the answer; empty when the child dies or is too slow."""
-        assert self._orders is not None
-        end = time.monotonic() + limit_s
-        try:
-            if order is not None:
-                text, bundles = order
-                self._orders.settimeout(limit_s)
-                socket.send_fds(self._orders, [HEADER.pack(len(text))], bundles)
-                self._orders.sendall(text)
-            return process.read(max(0.0, end - time.monotonic())) or b""
-        except (OSError, EOFError):
-            return b""
+    def _receive(self) -> bytes:
+        """Returns the answer of the child; empty if it dies or is too slow."""
+        answer = self._process.wait()
+        return self._note_end(answer) if isinstance(answer, Ended) else answer
 
     def _kill(self) -> None:
-        process, self._process = self._process, None
-        if process is None:
-            return
-        code = process.kill()
-        if self._orders is not None:
-            self._orders.close()
-        self._orders = None
-        self.was_ended = code in ENDED_FROM_OUTSIDE
+        end = self._process.kill()
+        if end is not None:
+            self._note_end(end)
+
+    def _note_end(self, end: Ended) -> bytes:
+        self.was_ended = end.is_from_outside
         self.exit_description = (
-            f"exit status {code}; limits {self._limits.memory_bytes >> 20} MiB, {self._limits.cpu_s} s CPU"
+            f"exit status {end.status}; limits {self._limits.memory_bytes >> 20} MiB, {self._limits.cpu_s} s CPU"
         )
+        return b""
 
-    def end(self) -> None:
-        self._ended = True
+    def close(self) -> None:
+        self._is_closed = True
         self._kill()
-
-
-def _spawn(limits: ValidatorLimits) -> tuple[JsonlProcess[bytes], socket.socket]:
-    """Starts a child; its standard input is the other end of the returned socket."""
-    arguments = python_module("coordinator.validation.validator_child", limits.model_dump_json())
-    environment = {"PYTHONPATH": import_path(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-    ours, theirs = socket.socketpair()
-    try:
-        process = JsonlProcess(
-            arguments,
-            environment,
-            bytes,
-            stdin=theirs.fileno(),
-            keeps_stderr=False,
-            max_line_bytes=_MOST_ANSWER_BYTES,
-        )
-    except OSError as error:
-        ours.close()
-        raise TransientError(f"the validating process does not start: {error}") from error
-    finally:
-        theirs.close()
-    return process, ours
 
 
 @contextlib.contextmanager

@@ -25,6 +25,10 @@ from factory.cli.options import (
     verbose_option,
 )
 from schemas.errors import UsageError
+from schemas.support.shell import quoted
+
+_POLL_S = 0.5
+"""Pause between two checks of the coordinator while it stays after its run, seconds."""
 
 if TYPE_CHECKING:
     import threading
@@ -190,7 +194,8 @@ def _serve(
         _print_endpoints(coordinator, plan, site, options.guard)
         finished = coordinator.wait(stop=stop)
         if stay:
-            stop.wait()
+            while not stop.wait(_POLL_S):
+                coordinator.is_finished()  # raises an error of the coordinator itself
         elif finished:
             coordinator.wait_for_workers_to_disconnect(stop)
         progress = coordinator.progress()
@@ -208,7 +213,7 @@ def _print_end(site: Site, progress: Progress) -> int:
     from factory.runs.summary import print_missing
 
     if not progress.finished:
-        click.echo(f"stopped; continue with: factory coordinator start --out {site}", err=True)
+        click.echo(f"stopped; continue with: factory coordinator start --out {quoted(site)}", err=True)
         return 0
     click.echo("finished", err=True)
     print_missing(site, progress)

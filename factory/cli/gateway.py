@@ -85,7 +85,7 @@ def start(
                 for endpoint in gateway.endpoints:
                     click.echo(f"factory worker --cores 2 --connect {endpoint}")
                 while not stop.wait(_POLL_S):
-                    pass
+                    gateway.require_no_fault()
         except TransientError:
             if not stop.is_set():
                 raise

@@ -12,6 +12,7 @@ from factory.cli.options import PLACE, SITE, json_option, ledger_option, shrink_
 from factory.dataset.site import Site, dataset_directory
 from schemas.errors import UsageError
 from schemas.storage.dataset_files import SCENES
+from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     from coordinator.gateway.gather import GatherReport
@@ -139,7 +140,7 @@ def _print_joined(report: JoinReport) -> None:
     )
     click.echo(f"digest  {report.digest}")
     if report.episodes < report.planned:
-        click.echo(f"generate the missing episodes with: factory run --out {report.dataset}", err=True)
+        click.echo(f"generate the missing episodes with: factory run --out {quoted(report.dataset)}", err=True)
 
 
 def _print(report: GatherReport) -> None:
@@ -154,7 +155,7 @@ def _print(report: GatherReport) -> None:
         f"the dataset has {report.episodes} of {report.planned} episodes"
     )
     if report.requeued:
-        click.echo(f"generate the missing episodes with: factory run --out {report.dataset}", err=True)
+        click.echo(f"generate the missing episodes with: factory run --out {quoted(report.dataset)}", err=True)
     elif report.missing:
         click.echo(
             "give the directories of these gateways too, or --requeue-missing if the episodes are lost", err=True

@@ -11,6 +11,7 @@ import click
 from factory.cli.groups import CommandGroup
 from factory.cli.options import Command, count_option, json_option
 from schemas.protocol.identity import Role
+from schemas.support.shell import quoted
 
 _folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 
@@ -53,7 +54,9 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
     if as_json:
         print_json({"authority": str(folder), "key": str(folder / "ca.key"), "certificate": str(folder / "ca.pem")})
     else:
-        click.echo(f"authority in {folder}; next: factory keys host {folder} NAME --role coordinator --address ADDRESS")
+        click.echo(
+            f"authority in {folder}; next: factory keys host {quoted(folder)} NAME --role coordinator --address ADDRESS"
+        )
 
 
 @command.command("host")

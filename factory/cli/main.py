@@ -45,7 +45,7 @@ VERBS = MappingProxyType(
     {
         "run": CommandEntry(_MAKE, "Generate a dataset from a plan, or continue an interrupted run."),
         "render": CommandEntry(_MAKE, "Render the frames and sensors of a states dataset."),
-        "plan": CommandEntry(_MAKE, "Show a plan's episode counts; find the nearest feasible plan."),
+        "plan": CommandEntry(_MAKE, "Write, explain and check plans; find a feasible plan."),
         "scene": CommandEntry(_MAKE, "Build, import, inspect and render scenes."),
         "rig": CommandEntry(_MAKE, "List, show and check sensor rigs."),
         "gate": CommandEntry(_MAKE, "Measure the success rate of first attempts in one scene."),

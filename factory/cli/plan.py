@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,8 @@ import click
 
 from factory.cli.groups import CommandGroup
 from factory.cli.options import json_option, plan_argument, shrink_options
-from schemas.errors import InvalidPlan, WorldError
+from schemas.errors import InvalidPlan, UsageError, WorldError
+from schemas.support.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from factory.runs.plan_changes import PlanChanges
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 @click.group("plan", cls=CommandGroup)
 def command() -> None:
-    """Show a plan's episode counts; find the nearest feasible plan."""
+    """Write, explain and check plans; find a feasible plan."""
 
 
 @command.command("show")
@@ -38,6 +40,7 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     from coordinator.expansion.balance import planned_categories
     from coordinator.expansion.plan_file import load_plan
     from coordinator.expansion.possible import find_impossible
+    from coordinator.expansion.scene_cells import each_scene
     from coordinator.expansion.sentences import find_missing_instructions
     from coordinator.expansion.summary import summarise
     from factory.runs import plan_text
@@ -54,7 +57,7 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     mistakes = None if unknown else find_impossible(fixed, catalog)
     content = summarise(plan, catalog) if mistakes == [] and not has_families else None
     in_layouts = dict(planned_categories(plan).most_common())
-    mistakes = find_missing_instructions(fixed, catalog) if mistakes == [] else mistakes
+    mistakes = find_missing_instructions(fixed, each_scene(fixed, catalog)) if mistakes == [] else mistakes
     corners = {} if content is None else plan_text.corner_shares(plan, catalog)
     if as_json:
         quotas = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": plan_text.cell_rows(plan)}
@@ -81,6 +84,51 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
             f"{nearest} builds them and checks the plan",
             stderr,
         )
+
+
+@command.command("new")
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@json_option
+def new(file: Path, as_json: bool) -> None:
+    """Write a commented starter plan to FILE, which must not exist."""
+    from factory.runs.plan_keys import STARTER
+    from factory.support.terminal import print_json, print_text
+
+    if file.exists():
+        raise UsageError(f"{file} exists: give another name")
+    _write(file, STARTER)
+    if as_json:
+        print_json({"file": str(file)})
+        return
+    print_text(f"plan written to {file}; edit it, then check it with: factory plan show {shlex.quote(str(file))}")
+
+
+@command.command("keys")
+@click.argument("table", default="")
+@click.option("--markdown", is_flag=True, help="Print the table of the documentation.")
+@json_option
+def keys(table: str, markdown: bool, as_json: bool) -> None:
+    """Explain the keys of a plan file.
+
+    TABLE limits the list to keys that begin with it, such as camera or scenes.
+    """
+    from factory.runs.plan_keys import describe_key, keys_as_markdown, list_keys
+    from factory.support.terminal import print_json, print_text
+
+    listed = [key for key in list_keys() if key.key.startswith(table)]
+    if not listed:
+        tables = sorted({key.key.partition(".")[0].removesuffix("[]") for key in list_keys()})
+        raise UsageError(
+            f"no key begins with {table!r}{did_you_mean(table, tables)}; keys and tables: {', '.join(tables)}"
+        )
+
+    if as_json:
+        print_json({"keys": [key._asdict() for key in listed]})
+    elif markdown:
+        click.echo(keys_as_markdown(listed))
+    else:
+        for key in listed:
+            print_text(describe_key(key, width=shutil.get_terminal_size().columns))
 
 
 @command.command("nearest")
@@ -126,7 +174,7 @@ def nearest(plan_name: str, out: Path | None, changes: PlanChanges, as_json: boo
         return
     print_nearest(plan, result, mistakes)
     if out is not None:
-        print_text(f"plan written to {out}; generate the dataset with: factory run {out} --out DIR")
+        print_text(f"plan written to {out}; generate the dataset with: factory run {shlex.quote(str(out))} --out DIR")
 
 
 def _without_families(plan: Plan) -> Plan:

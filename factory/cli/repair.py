@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from factory.cli.options import json_option, ledger_option, site_argument
+from schemas.support.shell import quoted
 from schemas.terms import SuccessMeasure
 
 if TYPE_CHECKING:
@@ -85,4 +86,4 @@ def _print(report: RepairReport) -> None:
     verdict = f"{len(report.actions)} actions {done}" if report.actions else "nothing to repair"
     click.echo(f"{report.dataset}: {verdict}; {report.episodes} of {report.planned} episodes are valid")
     if report.applied and report.episodes < report.planned:
-        click.echo(f"generate the missing episodes with: factory run --out {report.dataset}", err=True)
+        click.echo(f"generate the missing episodes with: factory run --out {quoted(report.dataset)}", err=True)

@@ -11,6 +11,7 @@ from factory.cli.options import evaluations_option, ledger_option, site_argument
 from schemas.errors import UsageError
 from schemas.storage.dataset_files import EPISODES, is_dataset
 from schemas.support.extras import require_package
+from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     from factory.dataset.site import Site
@@ -61,7 +62,7 @@ def command(
     for package in ("starlette", "uvicorn", "sqlalchemy"):
         require_package(package, "`factory serve`")
     if not (is_dataset(site.state_dir) or (site.place / EPISODES).is_dir()):
-        raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {site}`")
+        raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {quoted(site)}`")
     from factory.eval.results.store import read_manifest
     from factory.web.start import serve  # needs an extra
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,39 +14,44 @@ from schemas.errors import UsageError
 if TYPE_CHECKING:
     from schemas.storage.place import Place
 
-_KINDS = (".png", ".mp4", ".gif")
+_KINDS = (".png", ".mp4", ".gif", ".webp")
 
 
 @click.command("show")
 @place_argument
 @click.argument("episode")
-@write_option("FILE", "Output file: .png, .mp4 or .gif. Default: EPISODE.png.", dir_okay=False)
+@write_option("FILE", "Output file: .png, .mp4, .gif or .webp. Default: EPISODE.png.", dir_okay=False)
 @count_option("--columns", 6, "Number of frames per row of a contact sheet.", least=2, most=24)
 @rig_option("Show the cameras and lidars of a rig, a row for each. Default: the recorded camera.")
+@click.option("--outside", is_flag=True, help="Film the robot from outside, beside its camera image.")
 @json_option
-def command(root: Place, episode: str, out: Path | None, columns: int, rig: str | None, as_json: bool) -> None:
+def command(
+    root: Place, episode: str, out: Path | None, columns: int, rig: str | None, outside: bool, as_json: bool
+) -> None:
     """Write one episode as a contact sheet or a video.
 
-    EPISODE is a name or number: ep_000001 or 1. A .png file is a contact sheet. An .mp4 or .gif file is a real-time
-    video of colour, depth, instance ids and a map with the trajectory, with the instruction below. RIG is a built-in
-    rig or a TOML file, see `factory rig list`. The sub-instructions of an episode with a route are printed with their
-    frames.
+    EPISODE is a name or number: ep_000001 or 1. A .png file is a contact sheet. An .mp4, .gif or .webp file is a
+    real-time video of colour, depth, instance ids and a map with the trajectory, with the instruction below. RIG is a
+    built-in rig or a TOML file, see `factory rig list`. The sub-instructions of an episode with a route are printed
+    with their frames.
     """
     from factory.dataset.bundle import EpisodeBundle
     from factory.dataset.episode_names import episode_path
-    from factory.dataset.steps import read_steps
+    from factory.dataset.steps import read_instruction, read_steps
     from factory.runs.scene_packages import find_package
     from factory.support.terminal import print_json
-    from factory.visualize.film import require_mp4, save_film
+    from factory.visualize.film import draw_film, require_mp4, save_film
+    from factory.visualize.outside import draw_outside_film
     from factory.visualize.panels import draw_contact_sheet
     from factory.visualize.rig_sheet import draw_rig_sheet
     from schemas.rig.rig_file import load_rig
     from schemas.scene import read_geometry
     from schemas.storage.disk import translated
+    from workers.render.choose import open_renderer
 
     path = episode_path(root, episode)
     target = out or Path(f"{path.stem}.png")
-    kind = _kind_of(target, rig)
+    kind = _kind_of(target, rig, outside)
     if kind == ".mp4":
         require_mp4()
     with path.open("rb") as file, EpisodeBundle(file, root) as bundle:
@@ -59,19 +65,25 @@ def command(root: Place, episode: str, out: Path | None, columns: int, rig: str 
             "episode": job.episode_id,
             "frames": bundle.length,
         }
-        steps = read_steps(root, job.episode_id)
+        steps, instruction = read_steps(root, job.episode_id), read_instruction(root, job.episode_id)
         if steps:
             facts["steps"] = [{"text": each.text, "start": each.start, "end": each.end} for each in steps]
         if kind == ".png":
             sheet = (
-                draw_contact_sheet(bundle, scene, columns)
+                draw_contact_sheet(bundle, scene, columns, instruction)
                 if rig is None
                 else draw_rig_sheet(bundle, load_rig(rig, job.task.control_hz), columns)
             )
             with translated("write", target):
                 sheet.save(target)
+        elif outside:
+            caption = instruction or bundle.meta.instruction
+            with open_renderer("gl") as renderer:
+                draw = functools.partial(draw_outside_film, bundle, scene, renderer, instruction=caption)
+                facts["fps"] = float(save_film(target, bundle.length, job.task.control_hz, draw))
         else:
-            facts["fps"] = float(save_film(target, bundle, scene))
+            draw = functools.partial(draw_film, bundle, scene, instruction=instruction)
+            facts["fps"] = float(save_film(target, bundle.length, job.task.control_hz, draw))
     if as_json:
         print_json(facts | {"bytes": target.stat().st_size})
     else:
@@ -80,11 +92,11 @@ def command(root: Place, episode: str, out: Path | None, columns: int, rig: str 
             click.echo(f"{each.number}. frames {each.start} to {each.end - 1}: {each.text}")
 
 
-def _kind_of(target: Path, rig: str | None) -> str:
+def _kind_of(target: Path, rig: str | None, outside: bool) -> str:
     """Returns the suffix of the output file in lower case.
 
     Raises:
-        UsageError: the suffix is not supported, or not supported with a rig.
+        UsageError: the suffix is not supported, or not supported with a rig or from outside.
     """
     kind = target.suffix.lower()
     if kind not in _KINDS:
@@ -94,4 +106,6 @@ def _kind_of(target: Path, rig: str | None) -> str:
         )
     if rig is not None and kind != ".png":
         raise UsageError(f"-o {target}: --rig draws a contact sheet: choose a file that ends in .png")
+    if outside and kind == ".png":
+        raise UsageError(f"-o {target}: --outside makes a film: choose a file that ends in .mp4, .gif or .webp")
     return kind

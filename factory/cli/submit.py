@@ -11,6 +11,7 @@ import click
 from factory.cli.groups import CommandGroup
 from factory.cli.options import count_option, json_option, plan_argument, shrink_options, write_option
 from schemas.errors import UsageError
+from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     from factory.runs.plan_changes import PlanChanges
@@ -106,4 +107,6 @@ def slurm(
         return
     for script in scripts:
         click.echo(f"{script}: {f'job {ids[script.stem]}' if ids else 'not submitted'}")
-    click.echo(f"progress: factory status {run}\ndataset: {job.dataset}, when the last job has ended", err=True)
+    click.echo(
+        f"progress: factory status {quoted(run)}\ndataset: {quoted(job.dataset)}, when the last job has ended", err=True
+    )

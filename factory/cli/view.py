@@ -10,6 +10,7 @@ import click
 from factory.cli.options import count_option, json_option, place_argument, write_option
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
+from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     from schemas.storage.place import Place
@@ -40,7 +41,7 @@ def command(root: Place, episode: str, out: Path | None, stride: int, as_json: b
     try:
         chosen = dataset[episode_id(episode_index(episode))]
     except KeyError as error:
-        raise UsageError(f"{error.args[0]}; see `factory jobs list {root}`") from error
+        raise UsageError(f"{error.args[0]}; see `factory jobs list {quoted(root)}`") from error
     job = chosen.meta.job
     scene = read_geometry(find_package(root, job.scene, job.scene_sha256).path)
     frames = range(0, len(chosen), stride)

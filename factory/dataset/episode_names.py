@@ -6,6 +6,7 @@ from schemas.errors import UsageError
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import FilePlace, Place
 from schemas.storage.shard_index import episode_place
+from schemas.support.shell import quoted
 
 
 def episode_index(name: str) -> int:
@@ -29,13 +30,14 @@ def episode_path(root: Place, name: str) -> FilePlace:
     folder = root / "episodes"
     if not folder.is_dir():
         raise UsageError(
-            f"{root} is not a dataset: episodes/ is missing; create a dataset with `factory run demo --out {root}`"
+            f"{root} is not a dataset: episodes/ is missing; create a dataset with `factory run demo --out "
+            f"{quoted(root)}`"
         )
     path = episode_place(root, episode_index(name))
     if not path.is_file():
         count = len(list_episodes(root).episodes)
         raise UsageError(
             f"{path.stem} does not exist in {root}, which has {count} episodes; list them with "
-            f"`factory jobs list {root}`"
+            f"`factory jobs list {quoted(root)}`"
         )
     return path

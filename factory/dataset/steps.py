@@ -1,4 +1,4 @@
-"""Reads the sub-instructions of routes, and questions, from a relabelled dataset. Writes nothing."""
+"""Reads instructions, sub-instructions of routes, and questions of a relabelled dataset. Writes nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from schemas.dataset.meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt
 from schemas.language.question.meaning import Question, QuestionMeaning
 from schemas.language.route.meaning import RouteStep, SubInstruction
-from schemas.storage.dataset_files import QUESTIONS_FILE, STEPS_FILE
+from schemas.storage.dataset_files import INSTRUCTIONS_FILE, QUESTIONS_FILE, STEPS_FILE
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
 
@@ -40,6 +40,18 @@ def read_text_table(path: Place, episode_id: str | None = None) -> pa.Table:
         return pq.read_table(table_of(path), filters=wanted)
     except (pa.ArrowException, *PARSER_ERRORS) as error:
         raise ArchiveCorrupt(f"{path} is damaged ({error}): run `factory relabel` again") from error
+
+
+def read_instruction(root: Place, episode_id: str) -> str | None:
+    """Returns the instruction that `factory relabel` wrote for an episode; `None` if it wrote none.
+
+    Raises:
+        ArchiveCorrupt: the table is damaged.
+    """
+    if not (root / INSTRUCTIONS_FILE).is_file():
+        return None
+    rows = read_text_table(root / INSTRUCTIONS_FILE, episode_id).to_pylist()
+    return min(((row["number"], str(row["instruction"])) for row in rows), default=(0, None))[1]
 
 
 def read_steps(root: Place, episode_id: str) -> tuple[SubInstruction, ...]:

@@ -24,6 +24,7 @@ from schemas.protocol.identity import (
     tls_files,
 )
 from schemas.storage.disk import translated
+from schemas.support.shell import quoted
 
 _CA_KEY_FILE, _ROLE_FILE = "ca.key", "role.txt"
 
@@ -144,7 +145,8 @@ def _authority(folder: Path) -> Certificate:
         return Certificate((folder / CA_FILE).read_bytes(), (folder / _CA_KEY_FILE).read_bytes())
     except OSError as error:
         raise UsageError(
-            f"{folder} does not contain an authority ({error.strerror}): create one with `factory keys ca {folder}`"
+            f"{folder} does not contain an authority ({error.strerror}): create one with `factory keys ca "
+            f"{quoted(folder)}`"
         ) from error
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from coordinator.expansion.catalog import Catalog, add_files, read_entry
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.possible import find_impossible
+from coordinator.expansion.scene_cells import each_scene
 from coordinator.expansion.sentences import find_missing_instructions
 from factory.dataset.packages import light_file, package_file, packages_by_scene
 from factory.runs.layouts import LayoutBuilds, build_layouts
@@ -99,7 +100,7 @@ def open_catalog(
             mistakes += [f"nearest possible: {change}" for change in nearest.changes]
             mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
         raise InvalidPlan(f"plan {plan.name!r} cannot be fulfilled with its scenes", mistakes)
-    faults = find_missing_instructions(plan, entries)
+    faults = find_missing_instructions(plan, each_scene(plan, entries))
     if faults:
         raise InvalidPlan(f"plan {plan.name!r} has a language block that its scenes do not permit", faults)
     return entries

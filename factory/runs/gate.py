@@ -268,7 +268,6 @@ class _TrialProcess:
         self._simulation = Simulation(run.command, limit_s, limit_s)
         self._job: Job | None = None
         self._is_ready = False
-        self._starts = 0
 
     def close(self) -> None:
         self._simulation.kill()
@@ -295,7 +294,7 @@ class _TrialProcess:
 
     def _handle_report(self, report: SimulationReport) -> Trial | None:
         if report.kind is SimulationReportKind.READY:
-            self._is_ready, self._starts = True, 0
+            self._is_ready = True
         if report.kind in {SimulationReportKind.READY, SimulationReportKind.PROGRESS} or self._job is None:
             return None
         if report.reason is FailReason.RELEASED:  # the disk is full, which is not a failure of the scene
@@ -311,8 +310,7 @@ class _TrialProcess:
             return None
         if job is not None:
             return Trial(job, end.reason, end.detail)
-        self._starts += 1
-        if self._starts >= _STARTS:
+        if self._simulation.failed_starts >= _STARTS:
             command = " ".join(self._run.command)
             raise WorldError(f"the simulation did not start after {_STARTS} tries of `{command}`: {end.detail}")
         return None

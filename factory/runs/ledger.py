@@ -21,6 +21,7 @@ from schemas.storage.dataset_files import LEDGER_FILE, META_FILE, is_dataset
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import Place
 from schemas.storage.shard_index import shard_places
+from schemas.support.shell import quoted
 
 
 def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Connection]:
@@ -31,12 +32,12 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
         WorldError: The directory has no ledger.
     """
     if url is None and not site.state_dir.is_dir():
-        begin = f"start a run with `factory run demo --out {site}`"
+        begin = f"start a run with `factory run demo --out {quoted(site)}`"
         if site.store is None:
             raise UsageError(f"directory {site} does not exist; {begin}")
         raise UsageError(
             f"the ledger of {site} is missing in {site.state_dir}; {begin}, or rebuild the ledger with `factory repair "
-            f"{site}`"
+            f"{quoted(site)}`"
         )
     if (
         url is None
@@ -44,7 +45,8 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
         and (count := len(list_episodes(site.place).episodes))
     ):
         raise WorldError(
-            f"{site} has {count} episodes but no ledger: rebuild the ledger with `factory repair {site}`, or continue "
+            f"{site} has {count} episodes but no ledger: rebuild the ledger with `factory repair "
+            f"{quoted(site)}`, or continue "
             "the run with the command that started it"
         )
     return open_ledger(ledger_url_of(site.state_dir, url))
@@ -61,7 +63,8 @@ def plan_of(site: Site) -> Plan | None:
     if noted is not None and described is not None and noted.digest != described.digest:
         raise WorldError(
             f"the ledger in {site.state_dir} is of run {noted.run}, but {META_FILE} of {site} is of {described.run}: "
-            f"restore the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
+            f"restore the ledger of {described.run}, or rebuild it from the episodes with `factory repair "
+            f"{quoted(site)}`"
         )
     return noted or described
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Never
 
 import structlog
 
@@ -35,8 +34,9 @@ from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from schemas.support.child import child_environment, python_module
+from schemas.support.child_process import ChildProcess, Ended
 from schemas.support.closing import Closing
-from schemas.support.jsonl_process import JsonlProcess, describe_exit
+from schemas.support.shell import quoted
 from schemas.terms import RendererKind
 from workers.client.spool import find_bundle, folder_of
 from workers.experts import require_expert
@@ -62,15 +62,13 @@ def require_renderer(renderer: RendererKind) -> None:
     # without this, every worker of the run would start its simulations in vain; OpenGL is not opened in this process,
     # because Mesa starts threads, and a later fork would hang
     command = python_module("workers.sim.simulate", "--renderer", renderer)
-    process = JsonlProcess(command, child_environment(os.environ), read_report)
-    try:
-        if process.read(_START_S) is None:
-            raise WorldError(f"--renderer {renderer}: the simulation did not start within {_START_S:g} s")
-    except EOFError as error:
-        cause = process.last_stderr_line() or describe_exit(process.wait())
-        raise WorldError(f"--renderer {renderer}: {cause}; {_REMEDY}") from error
-    finally:
-        process.kill()
+    with ChildProcess(read_report, start_s=_START_S) as process:
+        process.start(command, child_environment(os.environ))
+        report = process.wait()
+    if isinstance(report, Ended) and report.is_hung:
+        raise WorldError(f"--renderer {renderer}: the simulation did not start within {_START_S:g} s")
+    if isinstance(report, Ended):
+        raise WorldError(f"--renderer {renderer}: {report.last_output or report.description}; {_REMEDY}")
 
 
 _LISTEN = ("tcp/127.0.0.1:0",)
@@ -124,9 +122,9 @@ class LocalRun:
         rig += "" if self.appearance is None else f" --appearance {self.appearance}"
         shard = "" if self.shard is None else f" --shard {self.shard}"
         return (
-            f"factory run{shard} --out {site}"
+            f"factory run{shard} --out {quoted(site)}"
             if self.states is None
-            else f"factory render {self.states}{rig} -o {site}"
+            else f"factory render {quoted(self.states)}{rig} -o {quoted(site)}"
         )
 
 
@@ -175,6 +173,7 @@ def run_locally(
             return progress
         with _open_pool(run, coordinator.endpoints[0], progress.missing) as pool:
             while not (progress.finished or stop.wait(_POLL_S)):
+                coordinator.is_finished()  # raises an error of the coordinator itself
                 progress = coordinator.progress()
                 tell(progress)
                 pool.restart_dead(progress.jobs.get("archived", 0))
@@ -198,7 +197,8 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     host, site = barred[0], run.store or run.root
     raise WorldError(
         f"host {host.host} is barred after {host.strikes} failures, last: {host.reason}; {progress.missing} of "
-        f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release {site} {host.host}` "
+        f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release "
+        f"{quoted(site)} {host.host}` "
         f"and `{run.command}`"
     )
 
@@ -221,7 +221,11 @@ class _WorkerPool(Closing):
         ]
         self._deaths = 0
         self._archived = 0
-        self._processes = [self._start() for _ in range(workers)]
+        self._processes: list[ChildProcess[Never]] = [
+            ChildProcess(None, leave_s=_LEAVE_S, stderr="inherit") for _ in range(workers)
+        ]
+        for process in self._processes:
+            self._start(process)
 
     def restart_dead(self, archived: int) -> None:
         """Restarts workers that exited with an error.
@@ -231,36 +235,24 @@ class _WorkerPool(Closing):
         """
         if archived > self._archived:
             self._archived, self._deaths = archived, 0
-        for place, process in enumerate(self._processes):
-            code = process.poll()
-            if code is None or code == 0:
+        for process in self._processes:
+            end = process.receive(0.0)
+            if end is None or end.status == 0:
                 continue
             self._deaths += 1
-            log.warning("worker_died", status=code, deaths=self._deaths)
+            log.warning("worker_died", status=end.status, deaths=self._deaths)
             if self._deaths > _MOST_DEATHS:
                 raise WorldError(
-                    f"workers died {self._deaths} times in a row without an episode, last with exit status {code}"
+                    f"workers died {self._deaths} times in a row without an episode, last with exit status {end.status}"
                 )
-            self._processes[place] = self._start()
+            self._start(process)
 
-    def _start(self) -> subprocess.Popen[bytes]:
-        # in a separate session, so Ctrl-C reaches this process only, which then stops the workers
-        return subprocess.Popen(
-            self._command,
-            stdin=subprocess.PIPE,
-            stdout=sys.stderr,
-            env=child_environment(os.environ),
-            start_new_session=True,
-        )
+    def _start(self, process: ChildProcess[Never]) -> None:
+        process.start(self._command, child_environment(os.environ))
 
     def close(self) -> None:
         """Closes the stdin of the workers, waits for them to exit, and kills those that do not."""
         for process in self._processes:
-            if process.stdin is not None:
-                process.stdin.close()
+            process.end_input()
         for process in self._processes:
-            try:
-                process.wait(_LEAVE_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.kill()

@@ -8,15 +8,15 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Never
 
 from schemas.errors import WorldError
 from schemas.protocol.identity import CA_FILE, NAME_FILE
 from schemas.support.child import child_environment, python_module
+from schemas.support.child_process import ChildProcess
 from schemas.terms import RendererKind
 
 _LEAVE_S = 8.0
@@ -38,7 +38,7 @@ class RayWorker:
 
     def __init__(self, endpoint: str, files: Mapping[str, bytes], cores: int, renderer: RendererKind) -> None:
         self._folder = _folder_of(files)
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: ChildProcess[Never] = ChildProcess(None, leave_s=_LEAVE_S, stderr="inherit")
         for name, data in files.items():
             path = self._folder / name
             path.touch(mode=0o600)
@@ -50,22 +50,12 @@ class RayWorker:
 
     def run(self) -> int:
         """Runs the worker until it exits, and returns its exit status."""
-        process = self._process = subprocess.Popen(
-            self._command,
-            stdin=subprocess.PIPE,
-            stdout=sys.stderr,
-            env=child_environment(os.environ),
-            start_new_session=True,
-        )
-        with process:
-            return process.wait()
+        self._process.start(self._command, child_environment(os.environ))
+        return self._process.wait().status
 
     def stop(self) -> None:
         """Ends the worker, which returns its jobs, and removes its files; may be called while `run` runs."""
-        process = self._process
-        if process is not None and process.stdin is not None:
-            process.stdin.close()
-            process.wait(_LEAVE_S)
+        self._process.kill()
         shutil.rmtree(self._folder, ignore_errors=True)
 
 

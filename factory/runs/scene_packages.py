@@ -25,6 +25,7 @@ from schemas.layouts import LayoutPlan
 from schemas.plan import ScenePlan
 from schemas.scene import CompiledScene, read_info, read_scene
 from schemas.storage.place import Place
+from schemas.support.shell import quoted
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, family_of, layout_number
 
@@ -102,7 +103,8 @@ def scene_package(scene: str, seed: int) -> Path:
     path = Path(scene)
     if path.suffix.lower() in SCENE_SUFFIXES:
         raise UsageError(
-            f"{scene} is a scene file, not a scene package; import it with `factory scene import {scene}` and give the "
+            f"{scene} is a scene file, not a scene package; import it with `factory scene import "
+            f"{quoted(scene)}` and give the "
             "package"
         )
     if path.suffix and not path.is_file():

@@ -13,6 +13,7 @@ from factory.support.text import format_duration
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
 from schemas.storage.place import Place
+from schemas.support.shell import quoted
 from schemas.terms import FailReason
 
 _WORDS = {str(FailReason.RELEASED): "returned"}
@@ -51,7 +52,7 @@ def summarise(root: Place, progress: Progress) -> dict[str, Any]:
         "redrawn": progress.redrawn,
         "failed": progress.jobs.get("failed", 0),
         "missing": progress.missing,
-        "next": f"factory verify {root} --deep",
+        "next": f"factory verify {quoted(root)} --deep",
     }
 
 
@@ -69,7 +70,8 @@ def print_missing(site: object, progress: Progress) -> None:
     state = next((state for state, count in ends.items() if count), "failed")
     click.echo(
         f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): list the reasons with "
-        f"`factory jobs list {site} --state {state}`, requeue an episode with `factory jobs retry {site} EPISODE`",
+        f"`factory jobs list {quoted(site)} --state {state}`, requeue an episode with `factory jobs retry "
+        f"{quoted(site)} EPISODE`",
         err=True,
     )
 
@@ -83,4 +85,4 @@ def print_summary(summary: dict[str, Any]) -> None:
     tries = ", ".join(f"{count} {_WORDS.get(outcome, outcome)}" for outcome, count in summary["attempts"].items())
     print_text(f"attempts: {tries}; targets redrawn: {summary['redrawn']}")
     print_text(f"next:    {summary['next']}")
-    print_text(f"page:    factory serve {summary['dataset']}")
+    print_text(f"page:    factory serve {quoted(summary['dataset'])}")

@@ -8,7 +8,6 @@ from typing import Any
 
 import click
 
-from factory.support.terminal import print_table
 from factory.verify.rendering import RenderDifference
 from schemas.storage.place import Place
 
@@ -105,5 +104,7 @@ def _print_difference(difference: RenderDifference) -> None:
         (name, 100 * values["share"], *(values.get(key) for key in ("mean", "largest")))
         for name, values in plain.items()
     ]
+    from factory.support.terminal import print_table  # loads rich, which a process without output does not need
+
     columns = ("channel", "differing values, %", "mean difference", "largest")
     print_table(f"{difference.measured} frames compared; colours in levels of 255, depth in metres", columns, rows)

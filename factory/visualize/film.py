@@ -1,14 +1,15 @@
 """Writes a video of an episode: colour, depth, ids and the track on the map, with the instruction as a caption.
 
-The video plays in real time; frames are skipped to limit the frame rate. Formats: MP4 (H.264) and GIF.
+The video plays in real time; frames are skipped to limit the frame rate. Formats: MP4 (H.264), GIF and WebP.
 Does not open datasets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ _MARGIN_PX = 10
 _HOLD_S = 1
 """Duration for which the last picture is repeated, seconds."""
 _GIF_COLOURS = 128
+_WEBP_QUALITY = 60
 _FPS = 30
 _GIF_FPS = 15
 Rgb = NDArray[np.uint8]
@@ -41,13 +43,16 @@ def film_rate(control_hz: int, fps: int = _FPS) -> tuple[int, Fraction]:
     return stride, Fraction(control_hz, stride)
 
 
-def draw_film(episode: BundleReader, scene: CompiledScene, stride: int) -> Iterator[Rgb]:
+def draw_film(
+    episode: BundleReader, scene: CompiledScene, stride: int, instruction: str | None = None
+) -> Iterator[Rgb]:
     """Yields pictures (H, W, 3) of even size for every `stride`-th frame and the last frame.
 
     Args:
         episode: Bundle of the episode.
         scene: Scene in which the episode was recorded, for the map.
         stride: Number of frames from one picture to the next.
+        instruction: Caption; `None` is the recorded instruction.
     """
     chart = TrackMap(episode, scene, _TILE_PX)
     last = episode.length - 1
@@ -62,23 +67,27 @@ def draw_film(episode: BundleReader, scene: CompiledScene, stride: int) -> Itera
             small = Image.fromarray(tile).resize((_TILE_PX, _TILE_PX), Image.Resampling.BOX)
             film.paste(small, (place * _TILE_PX, 0))
         film.paste(chart.draw(t + 1), (3 * _TILE_PX, 0))
-        _write_caption(film, episode, t)
+        _write_caption(film, episode, t, instruction or episode.meta.instruction)
         yield np.asarray(film)
 
 
-def save_film(path: Path, episode: BundleReader, scene: CompiledScene) -> Fraction:
-    """Writes the video of an episode as GIF or MP4, by the suffix of `path`, with a progress bar; returns its rate.
+def save_film(path: Path, length: int, control_hz: int, draw: Callable[[int], Iterable[Rgb]]) -> Fraction:
+    """Writes the video of an episode in the format of the suffix of `path`, with a progress bar; returns its rate.
+
+    Args:
+        path: Path of the file; its suffix is in `FORMATS`.
+        length: Number of frames of the episode.
+        control_hz: Control rate, 1/s.
+        draw: Function that returns the pictures of every n-th frame and the last frame, for a stride n.
 
     Raises:
         UsageError: PyAV is not installed.
         WorldError: The file cannot be written.
     """
-    is_gif = path.suffix.lower() == ".gif"
-    stride, rate = film_rate(episode.meta.job.task.control_hz, _GIF_FPS if is_gif else _FPS)
-    write = write_gif if is_gif else write_mp4
+    write, fps = FORMATS[path.suffix.lower()]
+    stride, rate = film_rate(control_hz, fps)
     with Bars(transient=True) as bar:
-        pictures = bar.track(draw_film(episode, scene, stride), total=-(-(episode.length - 1) // stride) + 1)
-        write(path, pictures, rate)
+        write(path, bar.track(draw(stride), total=-(-(length - 1) // stride) + 1), rate)
     return rate
 
 
@@ -134,6 +143,25 @@ def write_gif(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
         first.save(beside, "GIF", save_all=True, append_images=frames, duration=10 * round(100 / rate), loop=0)
 
 
+def write_webp(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
+    """Writes a looping animated WebP, about a fifth of the size of a GIF; replaces `path` atomically.
+
+    Raises:
+        WorldError: The file cannot be written.
+    """
+    frames = (Image.fromarray(picture) for picture in _held(pictures, rate))
+    with replacing(path) as beside:
+        first = next(frames)
+        options = {"duration": round(1000 / rate), "loop": 0, "quality": _WEBP_QUALITY, "method": 4}
+        first.save(beside, "WEBP", save_all=True, append_images=frames, **options)
+
+
+FORMATS: Mapping[str, tuple[Callable[[Path, Iterable[Rgb], Fraction], None], int]] = MappingProxyType(
+    {".mp4": (write_mp4, _FPS), ".gif": (write_gif, _GIF_FPS), ".webp": (write_webp, _GIF_FPS)}
+)
+"""Writer of each video format by suffix, and its largest number of pictures per second."""
+
+
 def _held(pictures: Iterable[Rgb], rate: Fraction) -> Iterator[Rgb]:
     picture: Rgb | None = None
     for picture in pictures:
@@ -142,10 +170,10 @@ def _held(pictures: Iterable[Rgb], rate: Fraction) -> Iterator[Rgb]:
         yield from [picture] * round(_HOLD_S * rate)
 
 
-def _write_caption(film: Image.Image, episode: BundleReader, t: int) -> None:
+def _write_caption(film: Image.Image, episode: BundleReader, t: int, instruction: str) -> None:
     pen = ImageDraw.Draw(film)
     top = _TILE_PX + 6
-    pen.text((_MARGIN_PX, top), episode.meta.instruction, fill="black", font=ImageFont.load_default(20))
+    pen.text((_MARGIN_PX, top), instruction, fill="black", font=ImageFont.load_default(20))
     pen.text((_MARGIN_PX, top + 27), facts_of_step(episode, t), fill=(90, 90, 90), font=ImageFont.load_default(14))
 
 

@@ -109,13 +109,16 @@ def _window(scene: CompiledScene, centre: NDArray[np.float64], span_m: float, si
     return Image.fromarray(grey).convert("RGB")
 
 
-def draw_contact_sheet(episode: BundleReader, scene: CompiledScene, columns: int = 6) -> Image.Image:
+def draw_contact_sheet(
+    episode: BundleReader, scene: CompiledScene, columns: int = 6, instruction: str | None = None
+) -> Image.Image:
     """Returns a contact sheet: three rows of frames from start to end, the track on the map, and the instruction.
 
     Args:
         episode: Bundle of the episode.
         scene: Scene in which the episode was recorded, for the map.
         columns: Number of frames in a row.
+        instruction: Instruction in the header; `None` is the recorded instruction.
     """
     steps = np.linspace(0, episode.length - 1, columns).round().astype(int)
     rows = [
@@ -132,13 +135,13 @@ def draw_contact_sheet(episode: BundleReader, scene: CompiledScene, columns: int
             small = Image.fromarray(tile).resize((_TILE_PX, _TILE_PX), Image.Resampling.BILINEAR)
             sheet.paste(small, (column * _TILE_PX, head + row * _TILE_PX))
     sheet.paste(track, (columns * _TILE_PX, head))
-    _write_head(sheet, episode)
+    _write_head(sheet, episode, instruction or episode.meta.instruction)
     return sheet
 
 
-def _write_head(sheet: Image.Image, episode: BundleReader) -> None:
+def _write_head(sheet: Image.Image, episode: BundleReader, instruction: str) -> None:
     job, rollout = episode.meta.job, episode.meta.rollout
-    words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {episode.meta.instruction}"
+    words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {instruction}"
     facts = (
         f"{job.target_id} ({job.colour})  attempt {job.attempt}  {rollout.num_steps} steps  "
         f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  {describe_error(rollout)}"

@@ -20,6 +20,7 @@ from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.dataset_files import META_FILE, is_submitted_run
 from schemas.storage.place import Place
+from schemas.support.shell import quoted
 from schemas.terms import Recording
 from schemas.view import ViewSettings
 
@@ -164,7 +165,9 @@ def _remedy(root: Place) -> str:
     if isinstance(root, Path) and is_submitted_run(root):
         return f"it is the folder of a submitted run: give {root / 'dataset'}"
     if isinstance(root, Path) and is_submitted_run(root.parent):
-        return f"the last job of the submitted run writes it; see its progress with `factory status {root.parent}`"
+        return (
+            f"the last job of the submitted run writes it; see its progress with `factory status {quoted(root.parent)}`"
+        )
     return "give the --out of `factory run`"
 
 

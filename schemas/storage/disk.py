@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import os
 import secrets
 import shutil
@@ -13,7 +12,6 @@ from pathlib import Path
 
 from schemas.errors import WorldError
 
-_COPY_BYTES = 1 << 20
 _REMEDIES = {
     errno.ENOSPC: "free some space or choose another --out; the run resumes where it stopped",
     errno.EDQUOT: "the quota is used up: free some space or choose another --out",
@@ -43,18 +41,6 @@ def require_room(root: Path, reserve_bytes: int) -> None:
             f"{root} has {free / 1e9:.2f} GB free, but a run keeps {reserve_bytes / 1e9:.2f} GB in reserve: free some "
             "space or choose another --out"
         )
-
-
-def copy_hashed(source: Path, target: Path) -> str:
-    """Copies a file to a new path, syncs the copy to disk, and returns its SHA-256."""
-    digest = hashlib.sha256()
-    with source.open("rb") as reader, target.open("xb") as writer:
-        while block := reader.read(_COPY_BYTES):
-            digest.update(block)
-            writer.write(block)
-        writer.flush()
-        os.fsync(writer.fileno())
-    return digest.hexdigest()
 
 
 def set_aside(path: Path, folder: Path, reason: str) -> Path:

@@ -33,7 +33,6 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "collada": "sim",
         "mujoco": "mjcf",
         "embreex": "render",
-        "moderngl": "render",
         "matplotlib": "report",
         "rosbags": "ros2",
         "huggingface_hub": "hub",

@@ -1,4 +1,4 @@
-"""Limits the rate of repeated log events, of a peer or of a loop that fails repeatedly."""
+"""Limits the rate of repeated log events, of a peer or of a loop that fails, and the repetitions of our own errors."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from schemas.errors import FactoryError
 _MAX_KINDS = 1000
 _MAX_ERROR_CHARS = 300
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 10.0, 600.0
+_MOST_FAULTS = 5
+"""Number of equal errors of this software, without a success between them, that end the loop."""
 
 
 class LogLimit:
@@ -91,6 +93,9 @@ class Repeated:
         self._guard = threading.Lock()
         self._since = 0.0
         self._is_logged = False
+        self._fault: BaseException | None = None
+        self._faults = 0
+        """Number of consecutive failures with the same error of this software, `_fault`."""
         self.failures = 0
         """Number of consecutive failures."""
 
@@ -99,6 +104,7 @@ class Repeated:
         with self._guard:
             self.failures += 1
             count = self.failures
+            self._count_fault(error)
             if count == 1:
                 self._since = self._clock()
             if self._limit.admit() is None:
@@ -115,10 +121,37 @@ class Repeated:
         """Ends a series of failures; logs the recovery if one of them was logged."""
         with self._guard:
             count, self.failures = self.failures, 0
+            self._fault, self._faults = None, 0
             was_logged, self._is_logged = self._is_logged, False
             lasted = self._clock() - self._since
         if was_logged:  # logged as a warning, so it is visible at the log level of the failure
             self._log.warning(f"{self._event}_recovered", failures=count, after_s=round(lasted))
+
+    def require_no_fault(self) -> None:
+        """Raises an error if another repetition cannot help, because the loop fails by an error of this software.
+
+        Raises:
+            RuntimeError: The last failures, without a success between them, were one unexpected exception, which is
+                the cause.
+        """
+        with self._guard:
+            fault, count = self._fault, self._faults
+        if fault is not None and count >= _MOST_FAULTS:
+            raise RuntimeError(f"{self._event} {count} times by the same error: {describe_error(fault)}") from fault
+
+    def _count_fault(self, error: BaseException | str) -> None:
+        if isinstance(error, str | MemoryError) or isinstance(error, self._expected):  # noqa: SIM101 - narrows the type
+            self._fault, self._faults = None, 0
+        elif self._fault is not None and _origin(error) == _origin(self._fault):
+            self._faults += 1
+        else:
+            self._fault, self._faults = error, 1
+
+
+def _origin(error: BaseException) -> tuple[type[BaseException], str, int]:
+    """Returns the class of an error, and the file and line that raised it."""
+    frames = traceback.extract_tb(error.__traceback__, limit=-1)
+    return (type(error), frames[0].filename, frames[0].lineno or 0) if frames else (type(error), "", 0)
 
 
 def describe_error(error: BaseException) -> str:

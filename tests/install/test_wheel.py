@@ -82,7 +82,7 @@ def test_the_base_install_can_read_export_and_display_a_dataset(
     for export in ("lerobot", "mcap", "webdataset", "paper"):
         environment.run("factory", "export", "dataset", "--to", export, "-o", f"out-{export}", cwd=folder)
     installed = environment.run("python", "-m", "pip", "list", "--format", "freeze", cwd=folder).stdout.lower()
-    assert not [name for name in ("pybullet", "eclipse-zenoh", "moderngl", "sqlalchemy") if name in installed]
+    assert not [name for name in ("pybullet", "eclipse-zenoh", "embreex", "sqlalchemy") if name in installed]
 
 
 @pytest.mark.gl

@@ -223,6 +223,30 @@ def test_a_layout_stored_without_a_commit_is_recorded_at_the_next_start(tmp_path
     assert ledger_trouble(f"sqlite:///{root}/ledger.db") == ""
 
 
+def test_an_error_of_the_coordinator_itself_is_not_repeated_without_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise KeyError("school")
+
+    monkeypatch.setattr("coordinator.transfer.layouts.expand_layout", fail)
+    with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
+        claim = build_claim(worker)
+        assert claim.build is not None
+        data = make_layout(claim.build.layout).complete()
+
+        def is_stopped() -> bool:
+            deliver(worker, claim, data)
+            try:
+                core.is_finished()
+            except RuntimeError as error:
+                return "pull_failed 5 times by the same error: KeyError: 'school'" in str(error)
+            return False
+
+        until(is_stopped)
+    assert ledger_trouble(f"sqlite:///{tmp_path}/data/ledger.db") == ""
+
+
 _DIES_ONCE = """
 import os, pathlib, signal, sys
 died = pathlib.Path(sys.argv[1])

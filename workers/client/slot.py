@@ -93,7 +93,7 @@ class Slot:
                 self._log_renderer(report.renderer)
                 return
             pause_s = starts.fail()
-            if starts.failures >= _STARTS:
+            if self._simulation.failed_starts >= _STARTS:
                 command = " ".join(self._host.command)
                 raise WorldError(
                     f"a simulation did not start after {_STARTS} tries of `{command}`: {report.detail}; run this "

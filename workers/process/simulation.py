@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ import structlog
 
 from schemas.errors import WorldError
 from schemas.support.child import child_environment
-from schemas.support.jsonl_process import ENDED_FROM_OUTSIDE, JsonlProcess, describe_exit
+from schemas.support.child_process import ChildProcess, Ended
 from schemas.terms import FailReason
 from workers.process.messages import BuildTask, SimulationOrder, SimulationReport, read_report, to_line
 from workers.process.one_core import one_core
@@ -44,20 +43,22 @@ class Simulation:
 
     def __init__(self, command: Sequence[str], hang_s: float, start_s: float = 60.0) -> None:
         self._command = tuple(command)
-        self._hang_s, self._start_s = hang_s, start_s
-        self._limit_s = start_s
-        self._process: JsonlProcess[SimulationReport] | None = None
-        self._silence_s = 0.0
+        self._process = ChildProcess(_parse, start_s=start_s, silence_s=hang_s)
 
     @property
     def is_running(self) -> bool:
         """Whether a process was started and its end has not been detected."""
-        return self._process is not None
+        return self._process.is_started
 
     @property
     def pid(self) -> int | None:
         """Process id, or `None` if no process is running."""
-        return self._process.pid if self._process is not None else None
+        return self._process.pid
+
+    @property
+    def failed_starts(self) -> int:
+        """Number of processes in a row that ended, or hung, before their first report."""
+        return self._process.failed_starts
 
     def start(self) -> None:
         """Starts a new process; its first report is `ready`.
@@ -67,18 +68,14 @@ class Simulation:
         """
         self.kill()
         try:
-            self._process = JsonlProcess(
-                self._command, one_core(child_environment(os.environ), many_scenes=True), _parse
-            )
+            self._process.start(self._command, one_core(child_environment(os.environ), many_scenes=True))
         except OSError as error:
             raise WorldError(f"cannot start a simulation with `{' '.join(self._command)}`: {error}") from error
-        self._silence_s, self._limit_s = 0.0, self._start_s
 
     def order(self, order: SimulationOrder | BuildTask) -> None:
         """Sends an order; `receive` reports a process that has died meanwhile."""
-        if self._process is None:
+        if not self.is_running:
             raise RuntimeError("order() before start()")
-        self._silence_s, self._limit_s = 0.0, self._hang_s
         self._process.send(to_line(order))
 
     def receive(self, timeout_s: float) -> SimulationReport | ProcessEnd | None:
@@ -87,43 +84,31 @@ class Simulation:
         Kills a process that sends no report for more than `hang_s`, or `start_s` before its first order, and returns
         its end as a hang.
         """
-        if self._process is None:
+        if not self.is_running:
             return ProcessEnd(FailReason.CRASH, "not started")
-        try:
-            report = self._process.read(timeout_s)
-        except EOFError:
-            return self._reap(self._process)
-        if report is None:
-            # waiting times are added instead of wall time, so a suspended supervisor does not report a hang
-            self._silence_s += timeout_s
-            return self._give_up(self._process) if self._silence_s > self._limit_s else None
-        self._silence_s = 0.0
-        return report
+        report = self._process.receive(timeout_s)
+        return _end_of(report) if isinstance(report, Ended) else report
 
     def kill(self) -> None:
         """Kills the process, if one is running."""
-        process, self._process = self._process, None
-        if process is not None and process.kill() is None:
-            log.warning("simulation_unkillable", pid=process.pid)
-
-    def _give_up(self, process: JsonlProcess[SimulationReport]) -> ProcessEnd:
-        detail = f"no progress for {self._silence_s:.1f} s (limit {self._limit_s:g} s), killed" + _last_output(process)
-        self.kill()
-        log.warning("simulation_hung", pid=process.pid, detail=detail)
-        return ProcessEnd(FailReason.HANG, detail)
-
-    def _reap(self, process: JsonlProcess[SimulationReport]) -> ProcessEnd:
-        status = process.wait()
-        detail = describe_exit(status) + _last_output(process)
-        self.kill()
-        log.warning("simulation_died", pid=process.pid, detail=detail)
-        reason = FailReason.RELEASED if status in ENDED_FROM_OUTSIDE else FailReason.CRASH
-        return ProcessEnd(reason, detail, is_killed=status == -signal.SIGKILL)
+        end = self._process.kill()
+        if end is not None and not end.is_reaped:
+            log.warning("simulation_unkillable", pid=end.pid)
 
 
-def _last_output(process: JsonlProcess[SimulationReport]) -> str:
-    line = process.last_stderr_line()
-    return f"; last output: {line}" if line else ""
+def _end_of(end: Ended) -> ProcessEnd:
+    last_output = f"; last output: {end.last_output}" if end.last_output else ""
+    if end.is_hung:
+        detail = f"no progress for {end.silence_s:.1f} s (limit {end.limit_s:g} s), killed{last_output}"
+        log.warning("simulation_hung", pid=end.pid, detail=detail)
+        reason = FailReason.HANG
+    else:
+        detail = end.description + last_output
+        log.warning("simulation_died", pid=end.pid, detail=detail)
+        reason = FailReason.RELEASED if end.is_from_outside else FailReason.CRASH
+    if not end.is_reaped:
+        log.warning("simulation_unkillable", pid=end.pid)
+    return ProcessEnd(reason, detail, is_killed=end.is_killed and not end.is_hung)
 
 
 def _parse(line: bytes) -> SimulationReport | None:

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
-import subprocess
 import weakref
 
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.support.child import python_module
-from schemas.support.jsonl_process import describe_exit
+from schemas.support.child_process import ChildProcess, Ended
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
 from workers.process.one_core import one_core
@@ -22,7 +20,7 @@ from workers.render.prepared_scenes import KEPT_SCENES
 from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
 
 _ANSWER_S = 300.0
-_REAP_S = 3.0
+_LEAVE_S = 3.0
 _CAMERA, _ORIGIN = CameraConfig(), Pose(0.0, 0.0, 0.0)
 _CHILD = python_module("workers.render.process_child")
 
@@ -34,17 +32,18 @@ class RenderingProcess:
     """Description of the renderer in the process."""
 
     def __init__(self, kind: RendererKind, size: int, kept_scenes: int) -> None:
-        self._pid, self._number, self._unread = os.getpid(), 0, b""
+        self._pid, self._number = os.getpid(), 0
+        self._process = ChildProcess(
+            Reply.model_validate_json, start_s=_ANSWER_S, silence_s=_ANSWER_S, leave_s=_LEAVE_S, stderr="inherit"
+        )
         self._scene = os.fdopen(os.memfd_create("minivla-scene"), "wb")
-        self._socket, theirs = socket.socketpair()
-        self._socket.settimeout(_ANSWER_S)
         memory = FrameMemory.create()
         self.frames = FrameMemory(memory)
-        with theirs, os.fdopen(memory), contextlib.ExitStack() as held:
-            for each in (self._socket, self._scene, self.frames):
+        with os.fdopen(memory), contextlib.ExitStack() as held:
+            for each in (self._scene, self.frames, self._process):
                 held.callback(each.close)
-            self._process = _start(kind, size, kept_scenes, theirs, memory, self._scene.fileno())
-            self._end = weakref.finalize(self, _end, self._process, held.pop_all())
+            _start(self._process, kind, size, kept_scenes, (memory, self._scene.fileno()))
+            self._end = weakref.finalize(self, held.pop_all().close)
         _running.add(self)
         try:
             self.description = self._receive(0)
@@ -86,8 +85,7 @@ class RenderingProcess:
         request = RenderRequest(
             number=self._number, kind=kind, scene=scene, camera=camera, pose=pose, size=size, sensor=sensor
         )
-        with contextlib.suppress(ConnectionError):  # reading the reply detects the death of the process
-            self._socket.sendall(to_line(request))
+        self._process.send(to_line(request))
         self._receive(self._number)
 
     def close(self) -> None:
@@ -97,8 +95,7 @@ class RenderingProcess:
     def release_in_fork(self) -> None:
         """Releases the handle in a fork of the owner, without ending the process."""
         self._end.detach()
-        self._process.returncode = 0  # the process is not a child of the fork, so the fork cannot wait for it
-        self._socket.close()
+        self._process.release_in_fork()
         self._scene.close()
 
     def _require_open(self) -> None:
@@ -113,7 +110,10 @@ class RenderingProcess:
     def _receive(self, number: int) -> str:
         """Returns the detail of the reply to a request; ignores replies to interrupted requests."""
         while True:
-            reply = Reply.model_validate_json(self._read_line())
+            reply = self._process.wait()
+            if isinstance(reply, Ended):
+                self.close()
+                raise WorldError(f"the rendering process {_how_it_ended(reply)}")
             if reply.number == number:
                 break
         if reply.kind is ReplyKind.USAGE:
@@ -123,30 +123,6 @@ class RenderingProcess:
         if reply.kind is ReplyKind.DEFECT:
             raise RuntimeError(f"the rendering process failed: {reply.detail}")
         return reply.detail
-
-    def _read_line(self) -> bytes:
-        while b"\n" not in self._unread:
-            try:
-                received = self._socket.recv(1 << 16)
-            except TimeoutError as error:
-                self.close()
-                raise WorldError(
-                    f"the rendering process did not answer within {_ANSWER_S:g} s; it was ended"
-                ) from error
-            except ConnectionError:
-                received = b""
-            if not received:
-                raise WorldError(f"the rendering process died: {self._how_it_ended()}")
-            self._unread += received
-        line, _, self._unread = self._unread.partition(b"\n")
-        return line
-
-    def _how_it_ended(self) -> str:
-        self.close()
-        status = self._process.poll()
-        if status is None:
-            return "it closed the connection and cannot be killed"
-        return f"{describe_exit(status)}; its messages are on stderr"
 
 
 _running: weakref.WeakSet[RenderingProcess] = weakref.WeakSet()
@@ -161,19 +137,14 @@ os.register_at_fork(after_in_child=_release_all_in_fork)
 
 
 def _start(
-    kind: RendererKind, size: int, kept_scenes: int, theirs: socket.socket, frames: int, scenes: int
-) -> subprocess.Popen[bytes]:
+    process: ChildProcess[Reply], kind: RendererKind, size: int, kept_scenes: int, memories: tuple[int, int]
+) -> None:
+    """Starts the process with the descriptors of its frame memory and scene memory."""
+    frames, scenes = memories
     options = {"--renderer": kind, "--size": size, "--kept-scenes": kept_scenes, "--frames": frames, "--scenes": scenes}
     command = (*_CHILD, *(str(word) for option in options.items() for word in option))
     try:
-        return subprocess.Popen(
-            command,
-            stdin=theirs.fileno(),
-            stdout=theirs.fileno(),
-            pass_fds=(frames, scenes),
-            env=_environment(kept_scenes),
-            start_new_session=True,  # Ctrl-C reaches the caller only, which closes the renderer
-        )
+        process.start(command, _environment(kept_scenes), memories)
     except OSError as error:
         raise WorldError(f"cannot start the rendering process `{' '.join(command)}`: {error}") from error
 
@@ -187,12 +158,9 @@ def _environment(kept_scenes: int) -> dict[str, str]:
     return {**one_core(os.environ, many_scenes=kept_scenes > KEPT_SCENES), **chosen}
 
 
-def _end(process: subprocess.Popen[bytes], held: contextlib.ExitStack) -> None:
-    """Closes the connection, so the process exits; kills a process that does not exit."""
-    held.close()
-    try:
-        process.wait(_REAP_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(_REAP_S)
+def _how_it_ended(end: Ended) -> str:
+    if end.is_hung:
+        return f"did not answer within {_ANSWER_S:g} s; it was ended"
+    if not end.is_reaped:
+        return "died: it closed the connection and cannot be killed"
+    return f"died: {end.description}; its messages are on stderr"

@@ -24,7 +24,7 @@ from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies.registry import renders_apart
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from schemas.support.child import SAFE_PATH, child_environment, python_module
-from schemas.support.jsonl_process import JsonlProcess, describe_exit
+from schemas.support.child_process import ChildProcess, Ended
 from workers.process.one_core import one_core
 
 CHILD = python_module("factory.eval.process.child")
@@ -36,7 +36,7 @@ or computing metrics."""
 _GRACE_S = 5.0
 """Additional time before a process with a policy on a server is killed, seconds. Such a policy enforces its time limit
 itself."""
-_MOST_WORDS_CHARS = 300
+_MOST_OUTPUT_CHARS = 300
 
 
 class DriverEnded(NamedTuple):
@@ -55,7 +55,7 @@ class DriverProcess:
     def __init__(self) -> None:
         self._setup: EvalSetup | None = None
         self._renders_apart = False
-        self._process: JsonlProcess[EvalReport] | None = None
+        self._process = ChildProcess(read_report)
         self._status: SharedStatus | None = None
         self.current: EvalTask | None = None
         """Task in progress; `None` without one."""
@@ -67,7 +67,7 @@ class DriverProcess:
     @property
     def pid(self) -> int | None:
         """Process id; `None` without a running process."""
-        return self._process.pid if self._process is not None else None
+        return self._process.pid
 
     @property
     def steps(self) -> int:
@@ -87,41 +87,35 @@ class DriverProcess:
         if renders_apart(task.policy) and not self._renders_apart:
             self.kill()
             self._renders_apart = True
-        self._process = self._process or self._start()
+        if not self._process.is_started:
+            self._start()
         self.current = task
         self._process.send(to_line(order))
 
     def poll(self, timeout_s: float) -> EvalReport | DriverEnded | None:
         """Returns the outcome of the current order, the end of the process, or `None` if there is no outcome yet."""
-        if self._process is None:
+        if not self._process.is_started:
             return None
-        try:
-            report = self._process.read(timeout_s)
-        except EOFError:
-            return self._reap(self._process)
+        report = self._process.receive(timeout_s)
         if report is None:
-            return self._end_if_late(self._process)
+            return self._end_if_late()
+        if isinstance(report, Ended):
+            return self._end_of(report)
         return report if self._is_outcome(report) else None
 
-    def kill(self) -> None:
-        """Kills the process immediately, if it is running."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.kill()
+    def kill(self) -> Ended | None:
+        """Kills the process immediately; returns its end, or `None` if it is not running."""
+        end = self._process.kill()
         if self._status is not None:
             self._status.close()
             self._status = None
+        return end
 
-    def _start(self) -> JsonlProcess[EvalReport]:
+    def _start(self) -> None:
         self._status = SharedStatus.fresh()
-        os.set_inheritable(self._status.descriptor, True)
+        descriptor = self._status.descriptor
         options = ("--render-apart",) if self._renders_apart else ()
-        return JsonlProcess(
-            (*CHILD, str(self._status.descriptor), *options),
-            one_core(_environment()),
-            read_report,
-            pass_fds=(self._status.descriptor,),
-        )
+        self._process.start((*CHILD, str(descriptor), *options), one_core(_environment()), (descriptor,))
 
     def _is_outcome(self, report: EvalReport) -> bool:
         if report.kind is EvalReportKind.READY:
@@ -132,7 +126,7 @@ class DriverProcess:
             return True
         return False
 
-    def _end_if_late(self, process: JsonlProcess[EvalReport]) -> DriverEnded | None:
+    def _end_if_late(self) -> DriverEnded | None:
         if self._status is None or self.current is None:
             return None
         state, setup = self._status.read(), self.current.setup
@@ -142,28 +136,28 @@ class DriverProcess:
         }.get(state.busy, _SIMULATION_S)
         if time.monotonic() - state.since_s <= limit_s:
             return None
-        words = _last_output(process)
-        self.kill()
+        last_output = _last_output(self.kill())
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         who = "the policy did not respond" if is_policy else "the simulation made no progress"
-        return DriverEnded(PolicyFault.HUNG if is_policy else None, f"{who} for {limit_s:g} s, killed{words}", state)
+        return DriverEnded(
+            PolicyFault.HUNG if is_policy else None, f"{who} for {limit_s:g} s, killed{last_output}", state
+        )
 
     @property
     def _is_remote(self) -> bool:
         return self.current is not None and self.current.policy.startswith(("ws:", "wss:"))
 
-    def _reap(self, process: JsonlProcess[EvalReport]) -> DriverEnded:
+    def _end_of(self, end: Ended) -> DriverEnded:
         assert self._status is not None
-        state, how = self._status.read(), describe_exit(process.wait()) + _last_output(process)
+        state, how = self._status.read(), end.description + _last_output(end)
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         whom = "the driver process died while the policy ran" if is_policy else "the driver process died"
         return DriverEnded(PolicyFault.DIED if is_policy else None, f"{whom}: {how}", state)
 
 
-def _last_output(process: JsonlProcess[EvalReport]) -> str:
-    line = process.last_stderr_line()
-    return f"; last output: {line[:_MOST_WORDS_CHARS]}" if line else ""
+def _last_output(end: Ended | None) -> str:
+    return f"; last output: {end.last_output[:_MOST_OUTPUT_CHARS]}" if end is not None and end.last_output else ""
 
 
 def _environment() -> dict[str, str]:

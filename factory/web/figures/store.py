@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from pydantic import Field
 from factory.dataset.reader import Dataset
 from schemas.base import Model
 from schemas.support.child import child_environment, python_module
+from schemas.support.child_process import ChildProcess, Ended
 from schemas.support.closing import Closing
 
 
@@ -57,6 +57,7 @@ class Message(Model):
     """Reason why the figures cannot be drawn."""
 
 
+_MOST_MESSAGE_BYTES = 1 << 28
 _SHARE = 3
 """After a drawing, the pause is this multiple of its wall time, so a run on the same machine is not slowed."""
 
@@ -94,7 +95,7 @@ class StatisticsStore(Closing):
         self._state = StatisticsState()
         self._next_s = -float("inf")
         self._is_busy = False
-        self._process: subprocess.Popen[str] | None = None
+        self._process = ChildProcess(Message.model_validate_json, stderr="inherit", max_line_bytes=_MOST_MESSAGE_BYTES)
         self._thread: threading.Thread | None = None
 
     def of(self, dataset: Dataset) -> StatisticsState:
@@ -108,28 +109,25 @@ class StatisticsStore(Closing):
             self._dataset, self._is_busy = dataset, True
             self._state = StatisticsState(self._state.drawn, is_drawing=True)
             command = python_module("factory.web.figures.process", self._place)
-            environment = child_environment(os.environ)
-            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-            self._thread = threading.Thread(target=self._read, args=(self._process,), name="figures", daemon=True)
+            self._process.start(command, child_environment(os.environ))
+            self._thread = threading.Thread(target=self._read, name="figures", daemon=True)
             self._thread.start()
             return self._state
 
     def close(self) -> None:
         """Ends the drawing process."""
-        if self._process is not None and self._thread is not None:
-            self._process.kill()
+        self._process.kill()
+        if self._thread is not None:
             self._thread.join()
 
-    def _read(self, process: subprocess.Popen[str]) -> None:
+    def _read(self) -> None:
         begin_s = self._clock()
-        with process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                self._take(Message.model_validate_json(line))
-        code = process.returncode
+        while not isinstance(message := self._process.wait(), Ended):
+            self._take(message)
+        code = message.status
         failure = f"the figures cannot be drawn: the drawing process ended with code {code}; see the log of the server"
         with self._lock:
-            trouble = self._state.trouble or (failure if process.returncode else "")
+            trouble = self._state.trouble or ("" if code == 0 else failure)
             self._state = StatisticsState(self._state.drawn, trouble)
             self._is_busy = False
             self._next_s = self._clock() + _SHARE * (self._clock() - begin_s)

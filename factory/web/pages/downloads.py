@@ -65,7 +65,7 @@ def _make_film(episode: Episode, folder: Path) -> Path:
         scene = bundle.package.geometry()
         stride, rate = film_rate(bundle.meta.job.task.control_hz)
         path = folder / f"{episode.episode_id}.mp4"
-        write_mp4(path, draw_film(bundle, scene, stride), rate)
+        write_mp4(path, draw_film(bundle, scene, stride, episode.instruction), rate)
     return path
 
 

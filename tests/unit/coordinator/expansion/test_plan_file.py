@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
+
 import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
-from coordinator.expansion.plan_file import load_plan, plan_to_toml, shrink
+from coordinator.expansion.plan_file import load_plan, parse_plan, plan_to_toml, shrink
+from coordinator.ledger.opening import plan_differences, require_plan
+from factory.runs.plan_keys import STARTER, keys_as_markdown, list_keys
 from schemas.config import DemonstrationConfig
 from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
@@ -118,8 +123,8 @@ def test_the_error_of_an_unknown_uniqueness_or_balance_lists_the_valid_values(tm
     with pytest.raises(InvalidPlan) as caught:
         load_plan(str(path))
     text = "\n".join(caught.value.findings)
-    assert "instructions.unique: Input should be 'scene', 'view' or 'off' (found 'always')" in text
-    assert "balance: Input should be 'instances', 'categories' or 'categories_overall' (found 'even')" in text
+    assert "instructions.unique: Input should be 'scene', 'view' or 'off' (found 'always', line 3)" in text
+    assert "balance: Input should be 'instances', 'categories' or 'categories_overall' (found 'even', line 1)" in text
 
 
 def test_invalid_toml_is_reported(tmp_path):
@@ -287,3 +292,99 @@ def test_folders_of_models_are_relative_to_the_plan_and_its_digest_covers_units_
     assert (scene.unit, scene.up, scene.models) == ("cm", "y", (str(tmp_path / "more"), "/opt/models"))
     assert load_plan(str(path)).digest != plain.digest
     assert '"models":' not in plain.model_dump_json()
+
+
+def test_all_mistakes_are_listed_at_once_with_line_and_suggestion(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        'epsiodes = 3\nlanguages = "english"\n[camera]\nfov_deg = 1.57\nnear_m = "x"\n[tiers]\nnera = 1.0\n'
+        '[[scenes]]\nname = "offfice"\nepsiodes = 4\nlayout = 3\n'
+        '[[scenes]]\nname = "mine"\nfile = "room.usd"\nepisodes = -2\n'
+    )
+    with pytest.raises(InvalidPlan) as error:
+        load_plan(str(path))
+    lines = error.value.findings
+    for start, line_of_key, words in (
+        ("epsiodes: no such key", "line 1)", "`episodes` belongs in the table `scenes`"),
+        ("languages: no such key", "line 2)", "did you mean 'language'?"),
+        ("camera.fov_deg: not plausible", "line 4)", "degrees, not radians"),
+        ("camera.near_m:", "line 5)", "(found 'x'"),
+        ("tiers.nera:", "line 7)", "did you mean 'near'?"),
+        ("scenes[0].episodes:", "line 8)", "Field required"),
+        ("scenes[0].name:", "line 9)", "did you mean 'office'?"),
+        ("scenes[0].epsiodes:", "line 10)", "did you mean 'episodes'?"),
+        ("scenes[0].layout:", "line 11)", "did you mean 'layouts'?"),
+        ("scenes[1]:", "line 12)", "`file` needs `seen = [...]`"),
+        ("scenes[1].episodes:", "line 15)", "(found -2"),
+    ):
+        assert [line for line in lines if line.startswith(start) and line_of_key in line and words in line], (
+            start,
+            lines,
+        )
+    assert len(lines) == 11
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('name = "x\n[[scenes]]\n', ["line 1: ", "a quote is missing", '\n      name = "x\n               ^']),
+        ("name = two\n", ["line 1: Invalid value", 'a text needs quotes: name = "two"']),
+        ("a = [1,\n", ["Invalid value (at end of document)"]),
+    ],
+)
+def test_a_syntax_error_shows_the_line_and_the_probable_cause(tmp_path, text, words):
+    path = tmp_path / "x.toml"
+    path.write_text(text)
+    with pytest.raises(InvalidPlan) as error:
+        load_plan(str(path))
+    assert all(word in str(error.value) for word in words), str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("[camera]\nfov_deg = 1.57", "degrees, not radians"),
+        ("[camera]\nz_m = 34.0", "metres, not centimetres"),
+        ("[spawn]\nheading_noise_rad = 25", "radians, not degrees"),
+        ("[task]\nsuccess_radius_m = 100", "metres, not centimetres"),
+    ],
+)
+def test_a_value_in_another_unit_is_refused_in_a_file_and_read_in_a_dataset(tmp_path, table, said):
+    path = tmp_path / "x.toml"
+    path.write_text(f'[[scenes]]\nname = "office"\nepisodes = 4\n{table}\n')
+    with pytest.raises(InvalidPlan, match=said):
+        load_plan(str(path))
+    assert parse_plan({"name": "x", **tomllib.loads(path.read_text())}, "a dataset").episodes == 4
+
+
+def test_a_floor_at_height_zero_is_part_of_the_plan_and_its_digest(tmp_path):
+    def plan(line: str) -> Plan:
+        path = tmp_path / "x.toml"
+        path.write_text(
+            f'[[scenes]]\nname = "mine"\nfile = "a.usd"\nseen = ["chair"]\nepisodes = 4\n{line}\n[splits]\ntrain_id = 1'
+        )
+        return load_plan(str(path))
+
+    flat = plan("floor_m = 0.0")
+    assert "floor_m = 0.0" in plan_to_toml(flat)
+    assert flat.model_dump(mode="json")["scenes"][0]["floor_m"] == 0.0
+    assert len({flat.digest, plan("").digest, plan("floor_m = 1.0").digest}) == 3
+
+
+def test_the_changed_keys_of_a_plan_are_named_with_both_values():
+    recorded = BUILTIN_PLANS["demo"]
+    with pytest.raises(
+        UsageError, match=r"seed: recorded 42, requested 7\n.*scenes\[0\].episodes: recorded 4, requested 2"
+    ):
+        require_plan(recorded, shrink(recorded, episodes=8, seed=7))
+    assert plan_differences(recorded, recorded) == []
+
+
+def test_the_page_of_the_keys_and_the_starter_plan_agree_with_the_models(tmp_path):
+    keys = list_keys()
+    page = Path(__file__).parents[4] / "docs" / "plan-keys.md"
+    assert keys_as_markdown(keys) in page.read_text(), "renew docs/plan-keys.md from `factory plan keys --markdown`"
+    assert [key.key for key in keys if not key.meaning] == []
+    path = tmp_path / "new.toml"
+    path.write_text(STARTER)
+    assert load_plan(str(path)).episodes == 200

@@ -159,7 +159,7 @@ def test_all_mistakes_are_listed_together(tmp_path: Path):
         ("", "sensors: Field required"),
         ("sensors = []", "sensors: Tuple should have at least 1 item"),
         ("[[sensors", "is not valid TOML"),
-        ("sensors = 5", "sensors: Input should be a valid tuple"),
+        ("sensors = 5", "sensors: expected a list"),
         ('[[sensors]]\nname = "a"', "Unable to extract tag using discriminator 'model'"),
         (f"{CAMERA}\n[more]\nx = 1", "more: no such key"),
         ("x = " + "[" * 100_000, "is not"),

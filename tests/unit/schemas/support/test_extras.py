@@ -92,7 +92,7 @@ def test_each_optional_package_is_in_its_extra() -> None:
 
 def test_base_install_has_no_package_that_only_simulation_needs() -> None:
     base = set(map(_name, PROJECT["dependencies"]))
-    assert not base & {"pybullet", "eclipse-zenoh", "moderngl", "sqlalchemy"}
+    assert not base & {"pybullet", "eclipse-zenoh", "embreex", "sqlalchemy"}
     assert "<" not in PROJECT["requires-python"]
 
 

@@ -98,3 +98,36 @@ def test_an_error_is_one_line(clock: Clock) -> None:
     with capture_logs() as lines:
         trouble.fail(WorldError("no room\nand a page of explanation"))
     assert lines[0]["error"] == "no room"
+
+
+def _raised(error: Exception) -> Exception:
+    try:
+        raise error
+    except type(error) as caught:
+        return caught
+
+
+def test_the_same_error_of_this_software_ends_the_loop_after_a_few_repetitions(clock: Clock) -> None:
+    trouble = failing(clock)
+    for number in range(4):
+        trouble.fail(_raised(KeyError(number)))
+    trouble.require_no_fault()
+    trouble.fail(_raised(KeyError("last")))
+    with pytest.raises(RuntimeError, match=r"write_failed 5 times by the same error: KeyError: 0 \(test_log_limit"):
+        trouble.require_no_fault()
+
+
+@pytest.mark.parametrize("between", [None, WorldError("disk full"), OSError("no route"), MemoryError(), "refused"])
+def test_errors_from_outside_and_successes_do_not_end_the_loop(
+    clock: Clock, between: BaseException | str | None
+) -> None:
+    trouble = failing(clock)
+    for _ in range(20):
+        for _ in range(4):
+            trouble.fail(_raised(KeyError("x")))
+        if between is None:
+            trouble.succeed()
+        else:
+            for _ in range(9):
+                trouble.fail(between)
+    trouble.require_no_fault()

@@ -1,0 +1,40 @@
+"""Executes docs/tutorial.md: its plan and its commands, with fewer episodes and one epoch."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from factory.cli.main import cli
+from tests.builders.needs_torch import needs_torch
+from tests.builders.pages import ROOT, blocks, factory_lines
+
+PAGE = ROOT / "docs" / "tutorial.md"
+SMALLER = {"12": "1", "80": "64"}
+"""Options whose values are reduced: epochs and the size of the input."""
+
+
+@needs_torch
+@pytest.mark.slow
+@pytest.mark.gl
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning:torch")
+def test_the_tutorial_ends_with_an_evaluated_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINIVLA_CACHE", str(cache))
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    (plan,) = blocks(PAGE, "toml")
+    Path("hour.toml").write_text(plan.replace("episodes = 300", "episodes = 10"))
+    verbs = []
+    for words in factory_lines(PAGE):
+        done = CliRunner().invoke(cli, [SMALLER.get(word, word) for word in words])
+        assert done.exit_code == 0, f"{words}: {done.output} {done.exception!r}"
+        verbs.append(words[0])
+    assert verbs == ["plan", "run", "stats", "show", "train", "eval", "eval"]
+    assert Path("drive.mp4").stat().st_size > 10_000
+    results = json.loads(Path("results/results.json").read_text())
+    assert {row["policy"] for row in results["overall"]} >= {"bc:policy", "expert", "random"}
