@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.acceptance.factory_cli import Command, FactoryCli, wait_for
 from tests.builders.ports import free_endpoint
 
 
+@pytest.mark.slow
 def test_only_admitted_workers_can_finish_a_run_with_tls(factory: FactoryCli, command: Command, plan, tmp_path):
     pki, out = tmp_path / "pki", tmp_path / "out"
     command("keys", "ca", pki)

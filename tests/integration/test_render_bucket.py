@@ -23,6 +23,7 @@ def upload(root: Path, place: ObjectPath) -> None:
             place.objects.put((place / str(path.relative_to(root))).key, path.read_bytes())
 
 
+@pytest.mark.slow
 def test_states_in_a_bucket_are_rendered_into_a_bucket(
     object_store: ObjectServer,
     cache: Path,
