@@ -1,6 +1,6 @@
 # The whole interface of a checkout: make setup | run | test | test-slow | test-all | check | bench | chaos | chaos-long |
 # compare-recordings | check-rigs | ledger-accidents | scenes-check | test-engines | test-formats | test-install | test-lerobot |
-# test-ray | test-slurm | test-train | fuzz | audit | docs | quickstart.
+# test-ray | test-slurm | test-train | fuzz | audit | docs | quickstart | release.
 # Everything is in .venv.
 VENV    := .venv
 PYTHON  ?= python3.11
@@ -9,15 +9,17 @@ HABITAT := .venv-habitat
 READERS := .venv-readers
 TRAIN   := .venv-train
 AUDIT   := .venv-audit
+TWINE   := .venv-twine
 JOBS    ?= 3
 RECORD  ?= frames
 PLAN    ?= paper
 EPISODES ?= 24
+TAG     ?=
 DOCS    := .venv-docs
 READY   := $(VENV)/.ready
 
 .PHONY: setup run test test-slow test-all check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check
-.PHONY: install-slurm test-engines test-formats test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart clean
+.PHONY: install-slurm test-engines test-formats test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart release clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), deploy/README.md (clusters), or $(VENV)/bin/factory --help"
@@ -211,6 +213,17 @@ $(AUDIT)/.ready:
 	$(AUDIT)/bin/python -m pip install --quiet "pip-audit==2.10.1"
 	touch $(AUDIT)/.ready
 
+# builds source distribution and wheel of the current commit into dist, twice, with equal bytes; checks their description with
+# twine, collects the tests of the source distribution, and reads a dataset in a new environment with the wheel; installs
+# packages, which takes minutes. TAG=v0.2.0 fails unless the tag names the version of pyproject.toml
+release: $(READY) $(TWINE)/.ready
+	$(VENV)/bin/python -m tests.install.release dist --twine $(TWINE)/bin/twine --tag "$(TAG)"
+
+$(TWINE)/.ready:
+	$(PYTHON) -m venv $(TWINE)
+	$(TWINE)/bin/python -m pip install --quiet "twine==7.0.0"
+	touch $(TWINE)/.ready
+
 # builds the documents and the API reference as a site in build/site, readable without a network; fails on a broken link
 docs: $(DOCS)/.ready
 	$(DOCS)/bin/python -m mkdocs build --strict --site-dir build/site
@@ -228,4 +241,4 @@ $(DOCS)/.ready: requirements.txt
 	touch $(DOCS)/.ready
 
 clean:
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT)-v2.1 $(HABITAT) $(READERS) $(TRAIN) $(AUDIT) $(DOCS) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT)-v2.1 $(HABITAT) $(READERS) $(TRAIN) $(AUDIT) $(TWINE) $(DOCS) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -46,7 +46,7 @@ def administer(
     Raises:
         TransientError: a coordinator holds the directory and does not answer.
         WorldError: the ledger does not exist, or the directory cannot be locked.
-        UsageError: the ledger has a newer format, or a drain is requested and no coordinator runs.
+        UsageError: the ledger has another format, or a drain is requested and no coordinator runs.
     """
     url = ledger_url_of(root, ledger_url)
     with open_ledger(url) as connection:

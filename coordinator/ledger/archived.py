@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 
-from sqlalchemy import bindparam, delete, func, insert, inspect, select
+from sqlalchemy import bindparam, delete, func, insert, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.difference import RecordedFile
@@ -63,16 +63,12 @@ def recorded_files(connection: Connection, *, digests: bool = True) -> Mapping[i
 
 def gateways_by_episode(connection: Connection) -> Mapping[int, str]:
     """Returns the gateway of every episode that a gateway stores, ordered by episode number."""
-    if not inspect(connection).has_table(gateway_episodes.name):
-        return {}
     return {
         row.idx: row.gateway for row in connection.execute(select(gateway_episodes).order_by(gateway_episodes.c.idx))
     }
 
 
 def count_by_gateway(connection: Connection) -> Mapping[str, int]:
-    if not inspect(connection).has_table(gateway_episodes.name):
-        return {}
     query = (
         select(gateway_episodes.c.gateway, func.count())
         .group_by(gateway_episodes.c.gateway)

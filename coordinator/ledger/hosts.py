@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
-from sqlalchemy import Row, bindparam, delete, func, insert, inspect, or_, select, update
+from sqlalchemy import Row, bindparam, delete, func, insert, or_, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.database.prepared import PreparedStatement
@@ -202,8 +202,6 @@ def _holds_job(connection: Connection, host: str) -> bool:
 
 
 def _troubled(connection: Connection) -> Sequence[Row[Any]]:
-    if not inspect(connection).has_table(hosts.name):  # a ledger of an older format that was not opened for writing
-        return ()
     return connection.execute(select(hosts).where(hosts.c.strikes > 0).order_by(hosts.c.host)).all()
 
 

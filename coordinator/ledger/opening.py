@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -24,7 +25,16 @@ from coordinator.expansion.draw import PlannedJob, expand_each
 from coordinator.ledger.builds import built_layouts, insert_builds, unbuilt_layouts
 from coordinator.ledger.database.engine import sqlite_url
 from coordinator.ledger.states import JobState
-from coordinator.ledger.tables import BUILD, LEDGER_FORMAT, METADATA, PLANNED, PLANNED_EPISODES, info, jobs
+from coordinator.ledger.tables import (
+    BUILD,
+    FORMER_FORMATS,
+    LEDGER_FORMAT,
+    METADATA,
+    PLANNED,
+    PLANNED_EPISODES,
+    info,
+    jobs,
+)
 from coordinator.ledger.tallies import install_tallies
 from schemas.base import Sha256
 from schemas.dataset.run_shard import RunShard, parse_shard
@@ -35,6 +45,7 @@ from schemas.storage.dataset_files import LEDGER_FILE
 
 _INSERT_ROWS = 5000
 _MOST_DIFFERENCES, _VALUE_CHARS = 12, 60
+_DIGITS = re.compile("[0-9]{1,9}")
 _SCENES = TypeAdapter(dict[str, Sha256])
 _SANDBOX, _SHARD = "sandbox", "shard"
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
@@ -97,7 +108,7 @@ def open_run(
         Whether the run is new.
 
     Raises:
-        UsageError: the database belongs to another plan or shard, or has a newer format.
+        UsageError: the database belongs to another plan or shard, or has another format.
         WorldError: a scene differs from the scene at the start of the run.
         InvalidPlan: the plan requires targets that its scenes do not have.
     """
@@ -108,12 +119,8 @@ def open_run(
             recorded = read_info(connection)
             _check_is_ours(recorded, plan, catalog, {**recorded.scenes, **recorded.layouts})
             require_shard(recorded.shard, shard)
-            _bring_up_to_date(connection)
             install_tallies(connection)
-            facts = {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)}
-            if connection.execute(select(info).where(info.c.key == PLANNED)).first() is None:
-                facts[PLANNED] = planned_digest(connection)
-            write_info(connection, facts)
+            write_info(connection, {"lease_ttl_s": str(lease_ttl_s)})
             return False
         unbuilt = unbuilt_layouts(plan, catalog) if planned is None else []
         planned = expand_each(plan, catalog) if planned is None else planned
@@ -133,30 +140,69 @@ def open_run(
         return True
 
 
-def _bring_up_to_date(connection: Connection) -> None:
-    """Adds the tables and indexes that a ledger of an older format lacks."""
-    METADATA.create_all(connection)
-    for table in METADATA.tables.values():
-        for index in table.indexes:
-            index.create(connection, checkfirst=True)
-
-
 def read_info(connection: Connection) -> LedgerInfo:
     """Returns the description of the run.
 
     Raises:
-        UsageError: the database has a newer format, or contains no ledger.
+        UsageError: the ledger has another format, or the database contains no ledger.
         WorldError: the description is damaged.
     """
     if not holds_run(connection):
         raise UsageError("the database contains no ledger: start a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
+    _check_format(connection, facts.get("format"))
     try:
         recorded = _info_of(facts)
         return replace(recorded, layouts=built_layouts(connection, recorded.plan.episodes))
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         reason = str(error).splitlines()[0]
         raise WorldError(f"the ledger is damaged: its description cannot be read ({reason})") from error
+
+
+class FormerFormat(UsageError):
+    """Ledger of an older format, which `factory repair` replaces.
+
+    A start does not replace it, as it would a damaged ledger: the older version can still finish the run, and a rebuilt
+    ledger lacks what only the old one records.
+
+    Args:
+        found: format of the ledger.
+        on_server: whether a database server stores the ledger.
+    """
+
+    def __init__(self, found: int, *, on_server: bool) -> None:
+        self.why = (
+            f"has format {found} of minivla-factory {FORMER_FORMATS[found]}, and this version reads format "
+            f"{LEDGER_FORMAT} only"
+        )
+        """Predicate of a sentence about the ledger."""
+        repair = "`factory repair DIR`" + (" with an empty database as --ledger" if on_server else "")
+        super().__init__(
+            f"the ledger {self.why}: rebuild it from the episodes with {repair}, or finish the run with version "
+            f"{FORMER_FORMATS[found]}"
+        )
+
+
+def require_current_format(connection: Connection) -> None:
+    """Checks that this software can read the ledger; a database without a ledger or with a damaged one passes.
+
+    Raises:
+        FormerFormat: the ledger has an older format.
+        UsageError: the ledger has a newer format.
+    """
+    if holds_run(connection):
+        _check_format(connection, connection.execute(select(info.c.value).where(info.c.key == "format")).scalar())
+
+
+def _check_format(connection: Connection, recorded: object) -> None:
+    found = int(recorded) if isinstance(recorded, str) and _DIGITS.fullmatch(recorded) else 0
+    if found > LEDGER_FORMAT:
+        raise UsageError(
+            f"the ledger has format {found}, and this version reads format {LEDGER_FORMAT} only: use the newer "
+            "minivla-factory that wrote it"
+        )
+    if found in FORMER_FORMATS:
+        raise FormerFormat(found, on_server=connection.dialect.name != "sqlite")
 
 
 @functools.lru_cache(maxsize=2)
@@ -166,12 +212,8 @@ def _read_plan(text: str) -> Plan:
 
 
 def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
-    format_number = int(facts["format"])
-    if format_number > LEDGER_FORMAT:
-        raise UsageError(
-            f"the ledger has format {format_number}, this software reads formats up to {LEDGER_FORMAT}: use the newer "
-            "minivla-factory that wrote it"
-        )
+    if (format_number := int(facts["format"])) != LEDGER_FORMAT:
+        raise ValueError(f"format {format_number} does not exist")
     plan = _read_plan(facts["plan"])
     if (plan.digest, plan.run) != (facts["plan_digest"], facts["run"]):
         raise ValueError(f"its plan is not that of run {facts['run']}")

@@ -41,20 +41,6 @@ class Event(StrEnum):
     CANCELLED = "cancelled"  # cancelled by an admin request
 
 
-FORMER_EVENTS = MappingProxyType({"missed": Event.TASK_FAILED, "hurt": Event.WORKER_FAILED})
-"""Mapping of names in ledgers of formats 1 to 3 to events. Rows of older events keep these names."""
-
-
-def event_name(recorded: str) -> str:
-    """Returns the current name of a recorded event, which a ledger of an older format may store by an older name."""
-    return FORMER_EVENTS.get(recorded, recorded)
-
-
-def recorded_names(event: Event) -> tuple[str, ...]:
-    """Returns the names by which ledgers of all formats store an event."""
-    return (event.value, *(name for name, listed in FORMER_EVENTS.items() if listed is event))
-
-
 class InvalidTransition(FactoryError):
     """Event that is not allowed in the current state of the job."""
 

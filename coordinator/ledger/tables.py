@@ -1,22 +1,24 @@
 """Defines the SQLAlchemy tables of the ledger. Executes no statement.
 
-Times are seconds since 1970 in UTC. Every change that an older coordinator cannot read increases `LEDGER_FORMAT`.
+Times are seconds since 1970 in UTC. Every change of the tables, or of the meaning of their values, increases
+`LEDGER_FORMAT`. Only the current format can be opened.
 """
 
 from __future__ import annotations
+
+from types import MappingProxyType
 
 from sqlalchemy import BigInteger, Boolean, Column, Double, ForeignKey, Index, Integer, MetaData, String, Table, Text
 from sqlalchemy import text as sql
 
 LEDGER_FORMAT = 4
-"""Format version. Since format 2, gateways may store episodes, which an older coordinator would regard as lost. Since
-format 3, jobs may build layouts. Since format 4, the events of task and worker failures have new names."""
+"""Format version."""
 
-ADDED_LATER = frozenset({"hosts", "keepers", "unchecked_episodes", "job_tallies", "attempt_tallies"})
-"""Tables that an intact ledger of an older format lacks; opening it for writing adds them."""
+FORMER_FORMATS = MappingProxyType({1: "0.1.0", 2: "0.1.0", 3: "0.1.0"})
+"""Mapping of older formats to the last version of minivla-factory that wrote them."""
 
 PLANNED = "planned"
-"""Key of `info` with the digest of the initial jobs. Opening a ledger of an older format for writing adds it."""
+"""Key of `info` with the digest of the initial jobs."""
 
 PLANNED_EPISODES = "episodes"
 """Key of `info` with the number of episodes, including those of layouts that are not built yet; absent in a ledger

@@ -7,9 +7,8 @@ Counters in the functions of the ledger would be wrong as soon as a new statemen
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
-from sqlalchemy import Select, Table, delete, func, insert, inspect, select, text
+from sqlalchemy import Table, delete, func, insert, select, text
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.tables import BUILD, attempt_tallies, attempts, job_tallies, jobs
@@ -20,8 +19,11 @@ _COUNT_JOBS = select(
 _COUNT_ATTEMPTS = select(
     attempts.c.outcome, func.count().label("attempts"), func.sum(attempts.c.steps).label("steps")
 ).group_by(attempts.c.outcome)
-_HAS_TALLIES = "has_tallies"
-"""Key in `Connection.info` that marks connections of a ledger with counts."""
+JOB_COUNTS = select(job_tallies).where(job_tallies.c.tier != BUILD)
+"""Query for the number of jobs by state, scene, tier, split and whether they are superseded, without builds of
+layouts."""
+ATTEMPT_COUNTS = select(attempt_tallies)
+"""Query for the number of attempts and the sum of their steps, by outcome."""
 _TALLIES = ((jobs, job_tallies, _COUNT_JOBS), (attempts, attempt_tallies, _COUNT_ATTEMPTS))
 
 
@@ -40,34 +42,12 @@ def install_tallies(connection: Connection) -> None:
             connection.execute(insert(tally).from_select([column.name for column in tally.c], count))
 
 
-def job_counts(connection: Connection) -> Select[Any]:
-    """Returns the query for the number of jobs by state, scene, tier, split and whether they are superseded.
-
-    Builds of layouts are not counted.
-    """
-    return select(job_tallies).where(job_tallies.c.tier != BUILD) if _has_tallies(connection) else _COUNT_JOBS
-
-
 def build_counts(connection: Connection) -> dict[str, int]:
     """Returns the number of layouts that workers build, by state of the build; empty if there are none."""
-    if not _has_tallies(connection):  # ledgers of older versions have no builds
-        return {}
     count = select(job_tallies.c.state, func.sum(job_tallies.c.jobs)).where(
         job_tallies.c.tier == BUILD, job_tallies.c.superseded.is_(False), job_tallies.c.jobs > 0
     )
     return {row[0]: int(row[1]) for row in connection.execute(count.group_by(job_tallies.c.state))}
-
-
-def attempt_counts(connection: Connection) -> Select[Any]:
-    """Returns the query for the number of attempts and the sum of their steps, by outcome."""
-    return select(attempt_tallies) if _has_tallies(connection) else _COUNT_ATTEMPTS
-
-
-def _has_tallies(connection: Connection) -> bool:
-    """Returns whether a ledger has counts; a ledger of an older version gets them when it is opened for writing."""
-    if _HAS_TALLIES not in connection.info and inspect(connection).has_table(job_tallies.name):
-        connection.info[_HAS_TALLIES] = True
-    return _HAS_TALLIES in connection.info
 
 
 def _triggers(dialect: str, counted: Table, tally: Table) -> Iterator[str]:

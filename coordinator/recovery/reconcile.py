@@ -214,7 +214,7 @@ def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> Non
 
     Raises:
         WorldError: a database server stores a damaged ledger, which only its administrator can replace.
-        UsageError: the ledger has a newer format.
+        UsageError: the ledger has another format.
     """
     trouble = "" if is_unchanged(url) else ledger_trouble(url, catalog)
     if not trouble:

@@ -20,8 +20,8 @@ from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
-from coordinator.ledger.database.engine import open_reader, open_writer
-from coordinator.ledger.opening import holds_run, open_run, read_info
+from coordinator.ledger.database.engine import is_server, open_reader, open_writer
+from coordinator.ledger.opening import FormerFormat, holds_run, open_run, read_info
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_content_digests
@@ -58,7 +58,7 @@ from schemas.storage.place import Place, children, digest_of, relative_name
 class RepairKind(StrEnum):
     """Kind of a repair action."""
 
-    # A lost or damaged ledger is rebuilt from plan, tables and archive.
+    # A lost or damaged ledger, or one of an older format, is rebuilt from plan, tables and archive.
     REBUILD = "rebuild"
     # A missing or damaged scene package or texture is taken from the cache or compiled again; an intact episode of the
     # plan is moved back from quarantine and recorded.
@@ -155,13 +155,14 @@ def repair(
 
     Raises:
         WorldError: a coordinator holds the dataset, or the disk cannot be written.
-        UsageError: the ledger belongs to another plan.
+        UsageError: the ledger belongs to another plan or has a newer format, or a database server stores a ledger of
+            an older format.
     """
     with ExitStack() as stack:
         # the shards are inspected before the archive is opened, because opening repairs them
         actions = list(_of_shards(dataset.root))
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
-        trouble = dataset.foreign_ledger or ledger_trouble(dataset.url, dataset.catalog)
+        trouble = dataset.foreign_ledger or _ledger_trouble(dataset)
         with _reading(dataset.url, trouble) as ledger:
             survey = survey_archive(
                 dataset.root,
@@ -188,6 +189,15 @@ def repair(
 def _open(dataset: RepairInput, take_over: bool) -> Archive:
     store = dataset.root if isinstance(dataset.root, ObjectPath) else None
     return open_archive(dataset.state_dir, store, take_over=take_over)
+
+
+def _ledger_trouble(dataset: RepairInput) -> str:
+    try:
+        return ledger_trouble(dataset.url, dataset.catalog)
+    except FormerFormat as error:
+        if is_server(dataset.url):
+            raise
+        return error.why
 
 
 @contextmanager

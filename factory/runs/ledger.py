@@ -57,7 +57,7 @@ def plan_of(site: Site) -> Plan | None:
 
     Raises:
         WorldError: Ledger and `dataset_meta.json` contain different plans.
-        UsageError: The format of the ledger is newer than this software.
+        UsageError: The ledger has another format.
     """
     noted, described = _noted_plan(site.state_dir), _described_plan(site.place)
     if noted is not None and described is not None and noted.digest != described.digest:

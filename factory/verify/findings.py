@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-import click
-
 from factory.verify.rendering import RenderDifference
 from schemas.storage.place import Place
 
@@ -79,6 +77,8 @@ class VerifyReport:
 
 def print_report(report: VerifyReport) -> None:
     """Prints a report as text."""
+    import click  # not at the top, because processes that only check import this module
+
     for finding in report.findings:
         click.echo(f"{finding.kind}: {finding.file}: {finding.text}")
     if report.difference.differing:
@@ -91,6 +91,10 @@ def print_report(report: VerifyReport) -> None:
 
 
 def _print_difference(difference: RenderDifference) -> None:
+    import click
+
+    from factory.support.terminal import print_table
+
     click.echo(
         f"{difference.differing} of {difference.frames} rendered frames differ; recorded with "
         f"{' and '.join(sorted(difference.recorded_with))}; rendered with "
@@ -104,7 +108,5 @@ def _print_difference(difference: RenderDifference) -> None:
         (name, 100 * values["share"], *(values.get(key) for key in ("mean", "largest")))
         for name, values in plain.items()
     ]
-    from factory.support.terminal import print_table  # loads rich, which a process without output does not need
-
     columns = ("channel", "differing values, %", "mean difference", "largest")
     print_table(f"{difference.measured} frames compared; colours in levels of 255, depth in metres", columns, rows)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
-from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, require_plan
+from coordinator.ledger.opening import FormerFormat, holds_run, ledger_url_of, read_info, require_plan
 from coordinator.ledger.reading.reader import open_ledger
 from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.recovery.survey import count_plans
@@ -19,6 +19,7 @@ from factory.dataset.site import Site
 from factory.runs.catalog import collect_scenes, open_catalog
 from factory.runs.ledger import shard_of
 from schemas.dataset.meta import read_dataset_meta
+from schemas.dataset.run_shard import RunShard
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.scene.info import texture_file
@@ -62,7 +63,7 @@ def inspect_dataset(
     record, foreign_ledger = _settle_plan(root, noted, described, plan)
     if record is None:
         raise UsageError(
-            f"neither the ledger nor dataset_meta.json of {root} contains the plan of the run: give the plan "
+            f"neither the ledger nor dataset_meta.json of {root} contains a readable plan of the run: give the plan "
             "with --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
@@ -73,7 +74,7 @@ def inspect_dataset(
         plan=record.plan,
         catalog=catalog,
         scenes=troubles,
-        shard=shard_of(Site(root, state_dir), url),
+        shard=_shard_of(Site(root, state_dir), url),
         foreign_ledger=foreign_ledger,
     )
 
@@ -103,9 +104,16 @@ def _from_ledger(url: str) -> _Record | None:
     try:
         with open_ledger(url) as connection:
             info = read_info(connection) if holds_run(connection) else None
-    except WorldError:
+    except (WorldError, FormerFormat):
         return None
     return None if info is None else _Record(info.plan, {**info.scenes, **info.layouts})
+
+
+def _shard_of(site: Site, url: str | None) -> RunShard | None:
+    try:
+        return shard_of(site, url)
+    except FormerFormat:
+        return None  # a shard has `run_shard.json` since its start
 
 
 def _from_meta(root: Place) -> _Record | None:

@@ -10,7 +10,7 @@ from sqlalchemy import text
 
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.tables import attempt_tallies, attempts, episodes, job_tallies, jobs
-from coordinator.ledger.tallies import attempt_counts, job_counts
+from coordinator.ledger.tallies import ATTEMPT_COUNTS, JOB_COUNTS
 from coordinator.tables.checkpoint import Checkpoints, is_checkpoint_due, write_checkpoint
 from coordinator.tables.row_groups import GROUP_ROWS
 from tests.builders.ledger import TimedLedger, room_plan
@@ -84,16 +84,17 @@ def test_tallies_equal_the_counted_rows_after_every_change(server: str, request:
     assert len(names) == 7
 
 
-def test_a_ledger_without_tallies_is_counted_and_gets_them_when_it_is_opened_for_writing(tmp_path: Path) -> None:
+def test_missing_or_wrong_tallies_are_corrected_when_a_ledger_is_opened_for_writing(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'ledger.db'}"
     timed_ledger = TimedLedger(room_plan(20), url)
     list(change_at_random(timed_ledger, 30))
     with timed_ledger.open() as connection:
         for name in ("jobs_insert", "jobs_update", "attempts_insert", "attempts_update"):
             connection.execute(text(f"DROP TRIGGER count_{name}"))
-        job_tallies.drop(connection)
-        attempt_tallies.drop(connection)
-    before = tallies(timed_ledger)
+        connection.execute(job_tallies.delete())
+        connection.execute(attempt_tallies.update().values(attempts=77))
+    before = counted(timed_ledger)
+    assert tallies(timed_ledger) != before
     timed_ledger.engine.dispose()
     again = TimedLedger(room_plan(20), url)
     assert tallies(again) == before == counted(again)
@@ -104,7 +105,7 @@ def test_a_ledger_without_tallies_is_counted_and_gets_them_when_it_is_opened_for
 
 def tallies(timed_ledger: TimedLedger) -> tuple[set[tuple[object, ...]], set[tuple[object, ...]]]:
     with timed_ledger.open() as connection:
-        found = connection.execute(job_counts(connection)).all(), connection.execute(attempt_counts(connection)).all()
+        found = connection.execute(JOB_COUNTS).all(), connection.execute(ATTEMPT_COUNTS).all()
     return {tuple(row) for row in found[0] if row.jobs}, {tuple(row) for row in found[1] if row.attempts}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import shutil
 import sys
 import threading
 import time
@@ -12,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coordinator.ledger.database.engine import open_writer
+from coordinator.ledger.opening import ledger_url_of
 from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -23,6 +26,7 @@ from factory.eval.specs.campaign import Campaign
 from schemas.errors import TransientError, UsageError, WorldError
 from schemas.support.child import python_module
 from tests.builders.evaluation import open_store, standing_still
+from tests.builders.former_ledger import make_former
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, settings_for
@@ -81,6 +85,25 @@ def test_an_evaluation_without_a_running_collection_reports_it(
     door = FleetAccess(connect=(free_endpoint(),))
     with open_store(tmp_path / "out", campaign) as store, pytest.raises(TransientError, match="no coordinator at"):
         run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
+
+
+def test_an_unfinished_evaluation_of_an_older_version_is_refused_until_its_folder_is_deleted(
+    drives: Dataset, campaign: Campaign, tmp_path: Path
+) -> None:
+    stop = threading.Event()
+    stop.set()
+    door = FleetAccess((free_endpoint(),))
+    with open_store(tmp_path / "out", campaign) as store:
+        assert not run_fleet(campaign, drives.meta.plan, store, door, stop, lambda _pace: None)
+        (folder,) = (tmp_path / "out" / "fleet").iterdir()
+        engine = open_writer(ledger_url_of(folder))
+        with engine.begin() as connection:
+            make_former(connection, 3)
+        engine.dispose()
+        with pytest.raises(UsageError, match=r"has format 3 of minivla-factory 0\.1\.0, .*: delete this folder"):
+            run_fleet(campaign, drives.meta.plan, store, door, stop, lambda _pace: None)
+        shutil.rmtree(folder)
+        assert not run_fleet(campaign, drives.meta.plan, store, door, stop, lambda _pace: None)
 
 
 ECHO = """

@@ -84,6 +84,7 @@ def deliver(worker: WireWorker, claim: ClaimReply, data: bytes) -> None:
 
 
 def test_episodes_of_a_layout_are_claimed_while_another_one_is_built(tmp_path: Path) -> None:
+    data = package(SECOND)  # made before the leases, which end while a slow machine makes it
     with coordinator(tmp_path / "data") as core, WireWorker(core.endpoints, core.run) as worker:
         first, second = build_claim(worker), build_claim(worker)
         assert [(claim.build.layout, claim.build.seed) for claim in (first, second) if claim.build] == [
@@ -91,7 +92,7 @@ def test_episodes_of_a_layout_are_claimed_while_another_one_is_built(tmp_path: P
             (SECOND, 6),
         ]
         assert core.progress().jobs["pending"] == core.progress().planned == 4
-        deliver(worker, second, package(SECOND))
+        deliver(worker, second, data)
         job, lease = worker.job()
         assert (job.scene, job.index) in {(SECOND, 3), (SECOND, 4)}
         assert core.progress().layouts == {"leased": 1, "archived": 1}

@@ -16,10 +16,10 @@ from sqlalchemy.exc import DatabaseError, SQLAlchemyError
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw
 from coordinator.ledger.database.engine import open_reader, sqlite_files
-from coordinator.ledger.opening import planned_digest, planned_of, read_info
+from coordinator.ledger.opening import planned_digest, planned_of, read_info, require_current_format
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.states import FORMER_EVENTS, OPEN_STATES, Event, JobState, recorded_names
-from coordinator.ledger.tables import ADDED_LATER, BUILD, IS_EPISODE, METADATA, PLANNED, info, jobs
+from coordinator.ledger.states import OPEN_STATES, Event, JobState
+from coordinator.ledger.tables import BUILD, IS_EPISODE, METADATA, PLANNED, info, jobs
 from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import FailReason, Split, Tier
@@ -33,13 +33,12 @@ _ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = MappingProxyType(
         ("jobs", "state"): tuple(JobState),
         ("jobs", "tier"): (*Tier, BUILD),
         ("jobs", "split"): (*Split, BUILD),
-        ("events", "event"): (*Event, *FORMER_EVENTS),
+        ("events", "event"): tuple(Event),
         ("events", "state"): tuple(JobState),
         ("attempts", "outcome"): _OUTCOMES,
     }
 )
 _TASK_FAILURES = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_task_failure)
-_WORKER_FAILED = ", ".join(f"'{name}'" for name in recorded_names(Event.WORKER_FAILED))
 _OPEN = ", ".join(f"'{state}'" for state in OPEN_STATES)
 _ORPHAN = "an event belongs to a job that does not exist"
 _RULES: Mapping[str, str] = MappingProxyType(
@@ -99,7 +98,7 @@ _HISTORY = f"""
         (SELECT e.attempt FROM events AS e WHERE e.job_id = jobs.id ORDER BY e.id DESC LIMIT 1) AS last_attempt,
         (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.RETRIED}') AS retries,
         (SELECT count(*) FROM events AS e
-            WHERE e.job_id = jobs.id AND e.event IN ({_WORKER_FAILED})) AS worker_failures,
+            WHERE e.job_id = jobs.id AND e.event = '{Event.WORKER_FAILED}') AS worker_failures,
         (SELECT f.attempt FROM jobs AS f WHERE f.idx = jobs.idx AND f.draw = jobs.draw - 1) AS former
     FROM jobs WHERE state IN ({_OPEN}) AND (misses > 0 OR attempt != 1 OR draw > 0 OR crashes != 0 OR not_before > 0
         OR EXISTS (SELECT 1 FROM events AS e WHERE e.job_id = jobs.id))
@@ -116,7 +115,7 @@ def ledger_trouble(url: str, catalog: Catalog | None = None) -> str:
         catalog: scenes of its plan, for the comparison of redrawn jobs with the plan; `None` skips that comparison.
 
     Raises:
-        UsageError: this installation cannot open the database of the URL, or the ledger has a newer format.
+        UsageError: this installation cannot open the database of the URL, or the ledger has another format.
         WorldError: a server cannot be reached.
     """
     if make_url(url).get_backend_name() == "sqlite" and not any(
@@ -141,7 +140,7 @@ def find_damage(connection: Connection, catalog: Catalog | None = None) -> str:
         catalog: scenes of its plan, for the comparison of redrawn jobs with the plan; `None` skips that comparison.
 
     Raises:
-        UsageError: the ledger has a newer format.
+        UsageError: the ledger has another format.
     """
     try:
         return next(_findings(connection, catalog), "")
@@ -159,10 +158,11 @@ def _findings(connection: Connection, catalog: Catalog | None) -> Iterator[str]:
         result = connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar_one()
         if result != "ok":
             yield f"is damaged: {result}"
-    missing = sorted(METADATA.tables.keys() - set(inspect(connection).get_table_names()) - ADDED_LATER)
+    require_current_format(connection)  # before the tables, because an older ledger lacks some of them
+    missing = sorted(METADATA.tables.keys() - set(inspect(connection).get_table_names()))
     if missing:
         yield f"lacks the tables {', '.join(missing)}"
-    present = [table for table in METADATA.sorted_tables if table.name not in missing and _is_there(connection, table)]
+    present = [table for table in METADATA.sorted_tables if table.name not in missing]
     for table in present if is_sqlite else ():
         yield from _value_findings(connection, table)
     try:
@@ -178,10 +178,6 @@ def _findings(connection: Connection, catalog: Catalog | None) -> Iterator[str]:
     yield from _history_findings(connection, plan)
     if catalog is not None:
         yield from _draw_findings(connection, plan, catalog)
-
-
-def _is_there(connection: Connection, table: Table) -> bool:
-    return table.name not in ADDED_LATER or inspect(connection).has_table(table.name)
 
 
 def _value_findings(connection: Connection, table: Table) -> Iterator[str]:
@@ -215,7 +211,7 @@ def _wrong_value(table: Table, column: Column[object]) -> str:
 
 def _plan_findings(connection: Connection, plan: Plan) -> Iterator[str]:
     noted = connection.execute(select(info.c.value).where(info.c.key == PLANNED)).scalar()
-    if noted is not None and noted != planned_digest(connection):
+    if noted != planned_digest(connection):
         yield "is damaged: its jobs are not those of the plan"
     for row in connection.execute(_BUILT).all():
         noted = connection.execute(select(info.c.value).where(info.c.key == f"{PLANNED}:{row.idx}")).scalar()

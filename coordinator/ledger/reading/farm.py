@@ -17,9 +17,8 @@ from coordinator.ledger.administration import RecordedRequest, read_requests
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.hosts import read_memory
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.states import event_name
 from coordinator.ledger.tables import BUILD, attempts, events, jobs, workers
-from coordinator.ledger.tallies import job_counts
+from coordinator.ledger.tallies import JOB_COUNTS
 from schemas.protocol.messages import HostMemory
 
 _RECENT_ATTEMPTS = 20_000
@@ -126,7 +125,7 @@ def _recent() -> ColumnElement[bool]:
 
 def _cells(connection: Connection) -> dict[tuple[str, str, str], dict[str, int]]:
     cells: defaultdict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
-    for row in connection.execute(job_counts(connection)):
+    for row in connection.execute(JOB_COUNTS):
         if not row.superseded and row.jobs:
             cells[row.scene, row.tier, row.split][row.state] += row.jobs
     return {cell: dict(cells[cell]) for cell in sorted(cells)}
@@ -152,7 +151,7 @@ def _events(connection: Connection) -> tuple[FarmEvent, ...]:
             row.idx,
             row.scene,
             is_build=row.tier == BUILD,
-            event=event_name(row.event),
+            event=row.event,
             state=row.state,
             attempt=row.attempt,
             worker=row.sid,

@@ -18,7 +18,7 @@ from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import episodes, jobs, workers
-from coordinator.ledger.tallies import attempt_counts, build_counts, job_counts
+from coordinator.ledger.tallies import ATTEMPT_COUNTS, JOB_COUNTS, build_counts
 from schemas.protocol.status import Progress, WorkerStatus
 from schemas.terms import family_of
 
@@ -40,10 +40,10 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
     """Returns the progress of the run.
 
     Raises:
-        UsageError: the database contains no ledger, or one with a newer format.
+        UsageError: the database contains no ledger, or one of another format.
     """
     facts = read_info(connection)
-    cells = job_counts(connection).subquery()
+    cells = JOB_COUNTS.subquery()
     by_tier = _count_by(connection, cells, "tier")
     counts = sum((Counter(counts_of_tier) for counts_of_tier in by_tier.values()), Counter())
     left = sum(counts[state] for state in OPEN_STATES)
@@ -80,7 +80,7 @@ def count_frames(connection: Connection) -> int:
 
 def _attempts(connection: Connection) -> list[Row[Any]]:
     """Returns the number of attempts and the sum of their steps, by outcome."""
-    rows = connection.execute(attempt_counts(connection)).all()
+    rows = connection.execute(ATTEMPT_COUNTS).all()
     return [row for row in rows if row.attempts]
 
 

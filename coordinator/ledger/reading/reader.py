@@ -9,6 +9,7 @@ from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DatabaseError
 
 from coordinator.ledger.database.engine import open_reader, shown_url
+from coordinator.ledger.opening import require_current_format
 from coordinator.ledger.reading.audit import ledger_trouble
 from schemas.errors import FactoryError, WorldError
 
@@ -23,10 +24,12 @@ def open_ledger(url: str) -> Iterator[Connection]:
 
     Raises:
         WorldError: the ledger does not exist, or data read in the block are damaged.
+        UsageError: the ledger has another format.
     """
     engine = open_reader(url)
     try:
         with translate_damage(url), engine.connect() as connection:
+            require_current_format(connection)
             yield connection
     finally:
         engine.dispose()
@@ -54,7 +57,7 @@ def require_sound(url: str, cause: Exception | None = None) -> None:
 
     Raises:
         WorldError: the ledger is damaged; the message describes the damage.
-        UsageError: the ledger has a newer format.
+        UsageError: the ledger has another format.
     """
     trouble = ledger_trouble(url)
     if trouble:

@@ -12,9 +12,9 @@ from sqlalchemy import Row, Select, func, select
 from sqlalchemy.engine import Connection
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
-from coordinator.ledger.states import JobState, event_name
+from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import IS_EPISODE, attempts, episodes, events, jobs
-from coordinator.ledger.tallies import job_counts
+from coordinator.ledger.tallies import JOB_COUNTS
 from schemas.dataset.rows import EpisodeSummary
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
@@ -121,7 +121,7 @@ def list_jobs(connection: Connection, wanted: JobFilter, limit: int = 100, offse
 
 def count_jobs(connection: Connection, wanted: JobFilter) -> int:
     """Returns the number of current jobs with the states, scenes, tiers and splits of a filter."""
-    counts = job_counts(connection).subquery()
+    counts = JOB_COUNTS.subquery()
     query = _matching(select(func.coalesce(func.sum(counts.c.jobs), 0)), counts.c, wanted)
     return int(connection.execute(query).scalar_one())
 
@@ -156,8 +156,8 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
     )
     for row in connection.execute(query):
         _require_text(row)
-        name, state, at = event_name(row.event), JobState(row.state), _utc(row.at)
-        yield EventRecord(row.draw, row.attempt, event=name, state=state, worker=row.sid, detail=row.detail, at=at)
+        state, at = JobState(row.state), _utc(row.at)
+        yield EventRecord(row.draw, row.attempt, event=row.event, state=state, worker=row.sid, detail=row.detail, at=at)
 
 
 def read_archived(connection: Connection) -> frozenset[int]:

@@ -18,7 +18,7 @@ from coordinator.clock import utc_now
 from coordinator.expansion.draw import EvalJobs
 from coordinator.ledger import administration
 from coordinator.ledger.database.engine import open_writer
-from coordinator.ledger.opening import holds_run, ledger_url_of
+from coordinator.ledger.opening import FormerFormat, holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, list_jobs, read_archived
@@ -35,7 +35,7 @@ from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, 
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, with_actions
 from schemas.dataset.rows import file_name_of
-from schemas.errors import WorldError
+from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.protocol.messages import EvalPayload
@@ -81,7 +81,7 @@ def run_fleet(
         tell: Progress callback, called for each policy.
 
     Raises:
-        UsageError: The specs do not match the dataset.
+        UsageError: The specs do not match the dataset, or an older version started the campaign.
         TransientError: No coordinator replies at the endpoints to connect to.
         WorldError: Episodes failed; the message contains the reasons.
     """
@@ -143,7 +143,14 @@ def _require_coordinator(access: FleetAccess) -> None:
 
 def _try_failed_again(root: Path) -> None:
     """Returns failed tasks to the queue, because their error message asks the user to run the command again."""
-    if ledger_trouble(ledger_url_of(root)):
+    try:
+        trouble = ledger_trouble(ledger_url_of(root))
+    except FormerFormat as error:
+        raise UsageError(
+            f"the ledger of the unfinished evaluation in {root} {error.why}: delete this folder, and run the command "
+            "again; results that are stored already are kept"
+        ) from error
+    if trouble:
         return  # no ledger, or a damaged one, which the coordinator rebuilds when it starts
     engine = open_writer(ledger_url_of(root))
     try:

@@ -8,13 +8,10 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from sqlalchemy import func, inspect, select
+from sqlalchemy import func, select
 
 from coordinator.ledger import hosts
-from coordinator.ledger.database.engine import open_reader
-from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.progress import read_progress
-from coordinator.ledger.tables import hosts as hosts_table
 from coordinator.ledger.tables import jobs
 from coordinator.protocol.protocol import ParsedRequest, Terms, parse, serve
 from schemas.base import Model
@@ -233,19 +230,3 @@ def test_a_host_that_repeatedly_fails_one_job_is_barred_if_other_hosts_could_try
         lease = counter.claim("bad").lease
     assert counter.counts()["failed"] == 0
     assert counter.troubled()[0].barred_at is not None
-
-
-def test_a_ledger_without_the_hosts_table_is_migrated(tmp_path):
-    url = f"sqlite:///{tmp_path / 'ledger.db'}"
-    timed_ledger = TimedLedger(room_plan(3), url)
-    with timed_ledger.open() as connection:
-        hosts_table.drop(connection)
-    reader = open_reader(url)
-    with reader.connect() as connection:
-        assert read_progress(connection, timed_ledger.now).hosts == ()
-    reader.dispose()
-    assert not open_run(timed_ledger.engine, timed_ledger.plan, timed_ledger.catalog, TTL_S, timed_ledger.now)
-    with timed_ledger.open() as connection:
-        assert inspect(connection).has_table("hosts")
-    assert Counter(timed_ledger).spoil("bad", 600) <= hosts.STRIKES
-    timed_ledger.engine.dispose()

@@ -14,7 +14,7 @@ from sqlalchemy import select
 from coordinator.ledger import administration, claims, hosts, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.database.engine import open_reader, open_writer
-from coordinator.ledger.opening import open_run, read_info
+from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.reading.records import (
     JobFilter,
@@ -25,7 +25,7 @@ from coordinator.ledger.reading.records import (
     read_events,
 )
 from coordinator.ledger.states import JobState
-from coordinator.ledger.tables import LEDGER_FORMAT, attempts, episodes, info
+from coordinator.ledger.tables import attempts, episodes
 from schemas.errors import UsageError, WorldError
 from schemas.protocol.messages import Beat, Hello, Lease, LeaseProgress
 from schemas.terms import FailReason
@@ -353,13 +353,6 @@ def test_rate_and_remaining_time_are_estimated_from_the_last_ten_minutes(timed_l
         progress = read_progress(connection, timed_ledger.now)
     assert progress.episodes_per_hour == pytest.approx(60)
     assert progress.eta_s == pytest.approx(60)
-
-
-def test_a_ledger_of_a_newer_format_is_refused(timed_ledger):
-    with timed_ledger.open() as connection:
-        connection.execute(info.update().where(info.c.key == "format").values(value=str(LEDGER_FORMAT + 1)))
-    with timed_ledger.open() as connection, pytest.raises(UsageError, match=f"format {LEDGER_FORMAT + 1}.*newer"):
-        read_info(connection)
 
 
 def test_a_reader_cannot_write(tmp_path):
