@@ -1,6 +1,6 @@
-# The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long | compare-recordings |
-# check-rigs | ledger-accidents | scenes-check | test-engines | test-formats | test-install | test-lerobot | test-ray | test-slurm |
-# test-train | fuzz | audit | docs | quickstart | release.
+# The whole interface of a checkout: make setup | run | test | test-slow | test-all | check | bench | chaos | chaos-long |
+# compare-recordings | check-rigs | ledger-accidents | scenes-check | test-engines | test-formats | test-install | test-lerobot |
+# test-ray | test-slurm | test-train | fuzz | audit | docs | quickstart | release.
 # Everything is in .venv.
 VENV    := .venv
 PYTHON  ?= python3.11
@@ -18,8 +18,8 @@ TAG     ?=
 DOCS    := .venv-docs
 READY   := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check test-formats
-.PHONY: install-slurm test-engines test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart release clean
+.PHONY: setup run test test-slow test-all check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check
+.PHONY: install-slurm test-engines test-formats test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart release clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), deploy/README.md (clusters), or $(VENV)/bin/factory --help"
@@ -37,13 +37,17 @@ run: $(READY)
 	$(VENV)/bin/factory run demo --out dataset --workers 2
 	@echo "next: $(VENV)/bin/factory serve dataset (progress, episodes, scenes and statistics in a browser)"
 
-# runs JOBS test files at a time, each in one process, the slowest folders first; JOBS=0 runs all tests in one process.
-# Three processes keep two cores busy, because tests of leases, timeouts and kills wait for a third of their time.
+# test runs all tests except those marked slow, test-slow the others, and test-all both: JOBS test files at a time, each in one
+# process, the slowest folders first; JOBS=0 runs all tests in one process. Three processes keep two cores busy, because tests
+# of leases, timeouts and kills wait for a third of their time.
 # Tests start many interpreters, so bytecode is written even if PYTHONDONTWRITEBYTECODE is set; otherwise each interpreter would compile the source
-test: export PYTHONDONTWRITEBYTECODE :=
-test: $(READY)
+test: MARKED := not slow
+test-slow: MARKED := slow
+test-all: MARKED :=
+test test-slow test-all: export PYTHONDONTWRITEBYTECODE :=
+test test-slow test-all: $(READY)
 	$(VENV)/bin/python -m compileall -q schemas workers coordinator factory minivla tests/builders tests/chaos
-	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
+	$(VENV)/bin/python -m pytest -m "$(MARKED)" -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 check: $(READY)
 	$(VENV)/bin/ruff check .

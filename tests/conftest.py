@@ -11,9 +11,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from tests.acceptance.factory_cli import IMPORTED, IMPORTED_BY_TESTS, FactoryCli, start_server
-from tests.builders.fork_helper import fork_children_from_interpreter
-from tests.builders.fork_server import ForkServer
+from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.layouts import Layouts
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
@@ -22,7 +20,6 @@ from tests.builders.shared import session_folder
 from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
-fork_children_from_interpreter(("factory.__main__", *IMPORTED, *IMPORTED_BY_TESTS))
 atexit.register(gc.freeze)  # garbage collections at the exit of the interpreter would take seconds
 # tests must not depend on the speed of the machine
 hypothesis.settings.register_profile(
@@ -80,18 +77,17 @@ def layouts(shared: Path) -> Layouts:
 
 
 @pytest.fixture(scope="session")
-def server() -> Iterator[ForkServer]:
-    """The fork server that starts the commands of the tests."""
-    with start_server() as started:
-        yield started
+def factory(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
+    """The command line as processes, with an empty home and the shared cache."""
+    cli = FactoryCli(tmp_path_factory.mktemp("empty-home"), cache)
+    yield cli
+    cli.end()
 
 
 @pytest.fixture(scope="session")
-def factory(server: ForkServer, tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[FactoryCli]:
-    """The command line, with an empty home and the shared cache."""
-    cli = FactoryCli(server, tmp_path_factory.mktemp("empty-home"), cache)
-    yield cli
-    cli.end()
+def command(cache: Path) -> Command:
+    """The command line in the process of the test, with the shared cache; other variables are those of the test."""
+    return Command(cache)
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.builders.fork_server import ForkServer
 from tests.builders.fresh_process import in_fresh_process
 from tests.builders.process_state import is_gone
 
@@ -38,15 +37,3 @@ def test_a_hanging_process_shows_its_stacks_and_is_killed_with_its_forks(
     assert capfd.readouterr().err.count("in hang_in_a_fork") == 2
     fork = int((tmp_path / "pid").read_text())
     assert any(is_gone(fork) or time.sleep(0.05) for _ in range(200))
-
-
-def test_the_fork_server_ends_while_a_fork_of_its_owner_runs() -> None:
-    server = ForkServer(["json"], dict(os.environ))
-    fork = os.fork()
-    if fork == 0:
-        signal.pause()
-    try:
-        server.close()
-    finally:
-        os.kill(fork, signal.SIGKILL)
-        os.waitpid(fork, 0)

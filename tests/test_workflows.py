@@ -36,7 +36,7 @@ def test_the_workflows_run_tests_documents_and_the_release() -> None:
     assert {name: targets_of(name) for name in WORKFLOWS} == {
         "docs": ["docs"],
         "publish": ["release"],
-        "tests": ["check", "test"],
+        "tests": ["check", "test", "test-slow"],
     }
 
 

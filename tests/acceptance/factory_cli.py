@@ -1,8 +1,4 @@
-"""Runs the installed `factory` in separate processes with an empty home.
-
-`fresh` starts a new interpreter; it generates the reference dataset. `start`, `run` and calling the object fork a
-process that has imported the commands already, which saves seconds.
-"""
+"""Runs `factory` for tests: the installed command as a process, or its entry point in the process of the test."""
 
 from __future__ import annotations
 
@@ -12,16 +8,19 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from factory.cli.main import VERBS
-from tests.builders.fork_server import Child, ForkServer
-from tests.test_layering import PACKAGES, ROOT, imports_of
+import pytest
+from click.testing import CliRunner
+
+from factory.cli.main import main
 
 TINY_PLAN = """
 name = "tiny"
@@ -49,50 +48,28 @@ brakes gently, because a robot that stops at once rolls back: in such a long con
 than validation accepts."""
 
 
-def _work_of_commands() -> set[str]:
-    """Returns the modules of the product that commands import when they are executed."""
-    sources = (ROOT / "factory" / "cli").rglob("*.py")
-    names = {name for path in sources for name in imports_of(path)}
-    return {name for name in names if name.startswith(PACKAGES) and not name.startswith("factory.cli")}
-
-
-IMPORTED = (
-    *(f"factory.cli.{name}" for name in VERBS),
-    *sorted(_work_of_commands()),
-    *("coordinator.service", "factory.scenes.build", "factory.scenes.compile.compiler", "factory.scenes.importer"),
-    *("factory.verify.episode", "factory.report", "av", "pandas", "scipy.stats", "trimesh"),  # pyarrow imports pandas
-    *("coordinator.validation.validator_child", "factory.eval.process.child", "factory.runs.build_process"),
-    "factory.eval.remote.eval_worker",
-    *("factory.web.figures.process", "workers.render.process_child", "workers.sim.simulate", "moderngl"),
-    "tests.builders.room_coordinator",
-)
-"""Modules that the commands and their child processes import, and the coordinator of the kill tests."""
-IMPORTED_BY_TESTS = (
-    *("tests.builders.room_gateway", "tests.builders.small_simulation", "tests.builders.worker"),
-    *("tests.chaos.host_process", "tests.fuzz.child"),
-)
-"""Modules that tests start directly as processes."""
+FACTORY = Path(sysconfig.get_path("scripts")) / "factory"
+"""The installed command."""
 _HANGS_S = 800.0
 """Time after which a command counts as hung, seconds; it is killed."""
 
 
-def start_server() -> ForkServer:
-    """Starts the fork server for the commands; the caller closes it."""
-    return ForkServer(("factory.__main__", *IMPORTED), os.environ, forks_children=True)
-
-
 class Started:
-    """A command in a forked process, with the part of the interface of `subprocess.Popen` that the tests need."""
+    """A started command whose output is in files, so that it never waits for a test that reads its output."""
 
-    def __init__(self, child: Child, out: Path, err: Path) -> None:
-        self._child, self._out, self._err = child, out, err
-        self.folder = out.parent
-        self.pid, self.poll, self.wait = child.pid, child.poll, child.wait
-        self.send_signal, self.kill = child.send_signal, child.kill
+    def __init__(self, command: Sequence[str | Path], environment: Mapping[str, str]) -> None:
+        self.folder = Path(tempfile.mkdtemp())
+        self._out, self._err = self.folder / "out", self.folder / "err"
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self._process = subprocess.Popen(
+                command, env=environment, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
+            )
+        self.pid, self.poll, self.wait = self._process.pid, self._process.poll, self._process.wait
+        self.send_signal, self.kill = self._process.send_signal, self._process.kill
 
     @property
     def returncode(self) -> int | None:
-        return self._child.poll()
+        return self.poll()
 
     def terminate(self) -> None:
         self.send_signal(signal.SIGTERM)
@@ -103,50 +80,12 @@ class Started:
         return self._out.read_text(), self._err.read_text()
 
 
-class FactoryCli:
-    """`factory` with a private cache and home; kills the remaining processes at the end."""
+class _Caller(ABC):
+    """Runs commands and checks their exit status."""
 
-    def __init__(
-        self, server: ForkServer, home: Path, cache: Path, variables: Mapping[str, str] = MappingProxyType({})
-    ) -> None:
-        self._server = server
-        self._environment = {**os.environ, "HOME": str(home), "MINIVLA_CACHE": str(cache), **variables}
-        self._environment.pop("XDG_CACHE_HOME", None)
-        self._started: list[Started] = []
-
-    def start(self, *words: object) -> Started:
-        """Starts a command in a forked process with its own session."""
-        self._started.append(self._fork(Path(tempfile.mkdtemp()), words))
-        return self._started[-1]
-
-    def _fork(self, folder: Path, words: tuple[object, ...]) -> Started:
-        out, err = folder / "out", folder / "err"
-        for file in (out, err):
-            file.touch(0o600)  # a test may read these files before the process opens them
-        child = self._server.start("factory.__main__", [*map(str, words)], self._environment, out, err)
-        return Started(child, out, err)
-
-    def fresh(self, *words: object) -> None:
-        """Runs a command in a new interpreter; fails unless it succeeds."""
-        done = subprocess.run(
-            [sys.executable, "-m", "factory", *map(str, words)],
-            env=self._environment,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=_HANGS_S,
-        )
-        assert done.returncode == 0, f"factory {words}: exit {done.returncode}\n{done.stderr}"
-
+    @abstractmethod
     def run(self, *words: object) -> subprocess.CompletedProcess[str]:
-        """Runs a command in a forked process; accepts any exit status."""
-        with tempfile.TemporaryDirectory() as folder:
-            started = self._fork(Path(folder), words)
-            try:
-                out, err = started.communicate(_HANGS_S)
-            finally:
-                started.kill()
-        return subprocess.CompletedProcess([*map(str, words)], started.wait(), out, err)
+        """Runs a command; accepts any exit status."""
 
     def __call__(self, *words: object, expect: int = 0) -> subprocess.CompletedProcess[str]:
         done = self.run(*words)
@@ -155,6 +94,55 @@ class FactoryCli:
 
     def json(self, *words: object, expect: int = 0) -> Any:
         return json.loads(self(*words, "--json", expect=expect).stdout)
+
+
+class Command(_Caller):
+    """`factory` in the process of the test, for commands that only parse, read or print.
+
+    A new interpreter imports for seconds before it prints an error.
+    """
+
+    def __init__(self, cache: Path, variables: Mapping[str, str] = MappingProxyType({})) -> None:
+        self._variables = {"MINIVLA_CACHE": str(cache), **variables}
+
+    def run(self, *words: object) -> subprocess.CompletedProcess[str]:
+        """Runs a command; accepts any exit status."""
+        arguments = [*map(str, words)]
+        with pytest.MonkeyPatch.context() as patch, CliRunner().isolation(env=self._variables) as (out, err, _):
+            patch.setattr(sys, "argv", ["factory", *arguments])
+            with pytest.raises(SystemExit) as left:
+                main()
+            sys.stdout.flush()
+            sys.stderr.flush()
+            return subprocess.CompletedProcess(
+                arguments, left.value.code, out.getvalue().decode(), err.getvalue().decode()
+            )
+
+
+class FactoryCli(_Caller):
+    """`factory` as a process with a private cache and home; kills the remaining processes at the end."""
+
+    def __init__(self, home: Path, cache: Path, variables: Mapping[str, str] = MappingProxyType({})) -> None:
+        self._environment = {**os.environ, "HOME": str(home), "MINIVLA_CACHE": str(cache), **variables}
+        self._environment.pop("XDG_CACHE_HOME", None)
+        self._started: list[Started] = []
+
+    def start(self, *words: object) -> Started:
+        """Starts a command in its own session."""
+        self._started.append(Started([FACTORY, *map(str, words)], self._environment))
+        return self._started[-1]
+
+    def run(self, *words: object) -> subprocess.CompletedProcess[str]:
+        """Runs a command; accepts any exit status."""
+        return subprocess.run(
+            [FACTORY, *map(str, words)],
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=_HANGS_S,
+            start_new_session=True,
+        )
 
     def end(self) -> None:
         for process in self._started:

@@ -11,7 +11,7 @@ import pytest
 
 from schemas.terms import Recording
 from tests.acceptance.compare_recordings import compare_trees
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command
 
 pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]
@@ -54,40 +54,42 @@ def without_names(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", PRINTING)
-def test_a_command_prints_the_same_values(factory: FactoryCli, recordings: Recordings, name: str) -> None:
-    printed = [factory.json(*filled(PRINTING[name], recordings[record], Path())) for record in Recording]
+def test_a_command_prints_the_same_values(command: Command, recordings: Recordings, name: str) -> None:
+    printed = [command.json(*filled(PRINTING[name], recordings[record], Path())) for record in Recording]
     assert without_names(printed[0]) == without_names(printed[1]) != {}
     assert [found["difference"]["differing"] for found in printed if "difference" in found] in ([0, 0], [])
 
 
 @pytest.mark.parametrize("name", WRITING)
-def test_a_command_writes_the_same_file(factory: FactoryCli, recordings: Recordings, tmp_path: Path, name: str) -> None:
+def test_a_command_writes_the_same_file(command: Command, recordings: Recordings, tmp_path: Path, name: str) -> None:
     files = []
     for record in Recording:
-        factory(*filled(WRITING[name], recordings[record], tmp_path / record))
+        command(*filled(WRITING[name], recordings[record], tmp_path / record))
         (file,) = tmp_path.glob(f"{record}.*")
         files.append(file.read_bytes())
     assert files[0] == files[1]
 
 
-def test_a_report_has_the_same_figures(factory: FactoryCli, recordings: Recordings, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_report_has_the_same_figures(command: Command, recordings: Recordings, tmp_path: Path) -> None:
     for record in Recording:
-        factory("report", recordings[record], "-o", tmp_path / record)
+        command("report", recordings[record], "-o", tmp_path / record)
     assert [one.what for one in compare_trees(*(tmp_path / record for record in Recording))] == [
         "report.html",
         "report.json",
     ]
 
 
-def test_an_evaluation_has_the_same_results(factory: FactoryCli, recordings: Recordings, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_an_evaluation_has_the_same_results(command: Command, recordings: Recordings, tmp_path: Path) -> None:
     results = []
     for record in Recording:
-        factory("eval", recordings[record], "--split", "train_id", *EVALUATED, "-o", tmp_path / record)
+        command("eval", recordings[record], "--split", "train_id", *EVALUATED, "-o", tmp_path / record)
         results.append(json.loads((tmp_path / record / "results.json").read_text()))
     assert without_names(results[0]) == without_names(results[1])
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="needs the extra view")
-def test_a_viewer_recording_of_states_is_written(factory: FactoryCli, recordings: Recordings, tmp_path: Path) -> None:
-    shown = factory.json("view", recordings[Recording.STATES], 1, "-o", tmp_path / "e.rrd", "--stride", 20)
+def test_a_viewer_recording_of_states_is_written(command: Command, recordings: Recordings, tmp_path: Path) -> None:
+    shown = command.json("view", recordings[Recording.STATES], 1, "-o", tmp_path / "e.rrd", "--stride", 20)
     assert (shown["frames"], (tmp_path / "e.rrd").stat().st_size > 0) == (-(-shown["steps"] // 20), True)

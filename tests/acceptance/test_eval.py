@@ -10,15 +10,15 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from tests.acceptance.factory_cli import FactoryCli, wait_for
+from tests.acceptance.factory_cli import Command, FactoryCli, wait_for
 
 
 @pytest.fixture(scope="module")
-def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(factory: FactoryCli, command: Command, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of `replay` and `stop` on two episodes."""
     folder = tmp_path_factory.mktemp("eval") / "out"
     specs = folder.parent / "specs.json"
-    factory("eval", "specs", drives, "--split", "all", "--episodes", 2, "-o", specs)
+    command("eval", "specs", drives, "--split", "all", "--episodes", 2, "-o", specs)
     shorten(specs, 50)
     words = ("eval", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", folder)
     found = factory(*words, "--videos", "1", "--workers", 2)
@@ -54,25 +54,25 @@ def test_the_result_files_have_the_expected_content(out: Path) -> None:
     assert "Failures of stop" in page
 
 
-def test_the_page_is_rewritten_byte_for_byte(factory: FactoryCli, drives: Path, out: Path) -> None:
+def test_the_page_is_rewritten_byte_for_byte(command: Command, drives: Path, out: Path) -> None:
     before = (out / "index.html").read_bytes()
     shutil.rmtree(out / "policies" / "stop" / "videos")
     specs = out.parent / "specs.json"
     words = ("eval", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out)
-    factory(*words, "--videos", "1")
+    command(*words, "--videos", "1")
     assert (out / "index.html").read_bytes() == before
 
 
-def test_a_repeated_command_runs_no_episode_twice(factory: FactoryCli, drives: Path, out: Path) -> None:
+def test_a_repeated_command_runs_no_episode_twice(command: Command, drives: Path, out: Path) -> None:
     before = {path: path.read_bytes() for path in out.rglob("episodes.jsonl")}
     specs = out.parent / "specs.json"
-    found = factory.json("eval", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out)
+    found = command.json("eval", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out)
     assert found["policies"][0]["overall"]["success"]["count"] == 2
     assert {path: path.read_bytes() for path in out.rglob("episodes.jsonl")} == before
 
 
-def test_two_policies_are_compared_by_paired_episodes(factory: FactoryCli, out: Path) -> None:
-    found = factory.json("eval", "compare", out / "policies" / "stop", out / "policies" / "replay")
+def test_two_policies_are_compared_by_paired_episodes(command: Command, out: Path) -> None:
+    found = command.json("eval", "compare", out / "policies" / "stop", out / "policies" / "replay")
     assert (found["pairs"], found["only_second"], found["only_first"]) == (2, 2, 0)
     assert found["success_difference"]["mean"] == 1.0
     assert found["p"] == pytest.approx(2 * 0.5**2)
@@ -93,23 +93,23 @@ def test_ctrl_c_keeps_finished_episodes(factory: FactoryCli, drives: Path, out: 
 
 
 def test_the_error_of_a_failing_policy_is_quoted_and_the_policy_can_be_run_again(
-    factory: FactoryCli, drives: Path, out: Path, tmp_path: Path
+    command: Command, drives: Path, out: Path, tmp_path: Path
 ) -> None:
     specs = out.parent / "specs.json"
     words = ("eval", drives, "--specs", specs, "--policy", "tests.builders.policies:Raises", "--videos", 0)
-    first = factory(*words, "-o", tmp_path / "out", expect=1)
+    first = command(*words, "-o", tmp_path / "out", expect=1)
     assert "2 of 2 episodes ended with policy_raised" in first.stdout
     assert "KeyError: 'depth_front' (policies.py:" in first.stdout
     assert "had a fault in every episode, so it was not evaluated" in first.stderr
     (log,) = tmp_path.rglob("episodes.jsonl")
     assert f"rm -r {log.parent}" in first.stderr
     log.unlink()
-    (policy,) = factory.json(*words, "-o", tmp_path / "out", expect=1)["policies"]
+    (policy,) = command.json(*words, "-o", tmp_path / "out", expect=1)["policies"]
     assert [(fault["end"], fault["drives"]) for fault in policy["faults"]] == [("policy_raised", 2)]
     assert log.read_bytes().count(b"\n") == 2
 
 
-def test_unfiltered_starts_are_written_as_a_spec_file(factory: FactoryCli, drives: Path, tmp_path: Path) -> None:
+def test_unfiltered_starts_are_written_as_a_spec_file(command: Command, drives: Path, tmp_path: Path) -> None:
     path = tmp_path / "u.json"
-    found = factory.json("eval", "specs", drives, "--split", "all", "--unfiltered", "--episodes", 2, "-o", path)
+    found = command.json("eval", "specs", drives, "--split", "all", "--unfiltered", "--episodes", 2, "-o", path)
     assert (found["episodes"], found["starts"]) == (2, {"drawn": 2})

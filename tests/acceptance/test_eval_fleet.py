@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
+from tests.acceptance.factory_cli import Command, FactoryCli, kill_group, wait_for
 from tests.builders.ports import free_endpoint
 
 SLOW = "tests.builders.policies:Slow"  # evaluated last, so the coordinator is killed before the end
@@ -17,10 +17,10 @@ POLICIES = ("expert", "replay", "random", SLOW)
 
 
 @pytest.fixture(scope="module")
-def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def specs(command: Command, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Spec file of the two episodes of `drives`, with a low step limit."""
     path = tmp_path_factory.mktemp("specs") / "specs.json"
-    factory("eval", "specs", drives, "--split", "all", "-o", path)
+    command("eval", "specs", drives, "--split", "all", "-o", path)
     data = json.loads(path.read_text())
     data["settings"]["task"]["max_steps"] = 20
     path.write_text(json.dumps(data))
@@ -49,6 +49,7 @@ def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
     return found
 
 
+@pytest.mark.slow
 def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:

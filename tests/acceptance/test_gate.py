@@ -34,8 +34,8 @@ def test_gate_fails_below_the_required_share_and_names_the_reasons(factory, tmp_
     assert "80 % required" in done.stdout
 
 
-def test_gate_refuses_a_scene_that_the_plan_does_not_have(factory):
-    assert "office" in factory("gate", "--scene", "garage", expect=2).stderr
+def test_gate_refuses_a_scene_that_the_plan_does_not_have(command):
+    assert "office" in command("gate", "--scene", "garage", expect=2).stderr
 
 
 SHORT_EPISODES = "[task]\nmax_steps = 20\n[budget]\nattempts_per_draw = 1\ndraws = 1\n" + PILOT.replace("50", "2")

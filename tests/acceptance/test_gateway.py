@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.acceptance.factory_cli import FactoryCli, wait_for
+import pytest
+
+from tests.acceptance.factory_cli import Command, FactoryCli, wait_for
 from tests.builders.ports import free_endpoint
 
 
+@pytest.mark.slow
 def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
-    factory: FactoryCli, plan: Path, reference: Path, tmp_path: Path
+    factory: FactoryCli, command: Command, plan: Path, reference: Path, tmp_path: Path
 ):
     out, core, doors = tmp_path / "out", free_endpoint(), [free_endpoint(), free_endpoint()]
     hub = factory.start("coordinator", "start", plan, "--out", out, "--listen", core)
@@ -20,23 +23,23 @@ def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
         wait_for(lambda name=name: (tmp_path / name / "gateway.json").exists())  # the gateway has joined
     factory("worker", "--connect", ",".join(doors), "--spool", tmp_path / "spool", "--connect-timeout", 60)
     assert hub.wait(180) == 0
-    progress = factory.json("status", out)
+    progress = command.json("status", out)
     assert sum(progress["by_gateway"].values()) == progress["jobs"]["archived"] == 5
-    assert "factory gather" in factory("status", out).stdout
+    assert "factory gather" in command("status", out).stdout
     assert list((out / "episodes").iterdir()) == []
     for gateway in gateways:
         gateway.terminate()
         assert gateway.wait(60) == 0
 
-    assert "has no episodes" in factory("gather", out, tmp_path, expect=2).stderr
+    assert "has no episodes" in command("gather", out, tmp_path, expect=2).stderr
     kept = [tmp_path / name for name in ("gw1", "gw2")]
-    nothing = factory.json("gather", out, expect=1)
+    nothing = command.json("gather", out, expect=1)
     assert (nothing["gathered"], len(nothing["missing"])) == (0, 5)
-    whole = factory.json("gather", out, *kept)
+    whole = command.json("gather", out, *kept)
     assert (whole["gathered"], whole["missing"], whole["episodes"]) == (5, [], 5)
-    verdict = factory.json("verify", out, "--deep")
-    assert verdict["digest"] == factory.json("verify", reference)["digest"]
-    assert factory.json("status", out)["by_gateway"] == {}
+    verdict = command.json("verify", out, "--deep")
+    assert verdict["digest"] == command.json("verify", reference)["digest"]
+    assert command.json("status", out)["by_gateway"] == {}
 
 
 def test_a_gateway_without_a_coordinator_waits_until_it_is_stopped(factory: FactoryCli, tmp_path: Path):
@@ -48,6 +51,6 @@ def test_a_gateway_without_a_coordinator_waits_until_it_is_stopped(factory: Fact
     assert (waiting.returncode, "stopped before the coordinator at" in err) == (130, True), err
 
 
-def test_without_certificates_a_gateway_listens_on_loopback_only(factory: FactoryCli, tmp_path: Path):
+def test_without_certificates_a_gateway_listens_on_loopback_only(command: Command, tmp_path: Path):
     words = ("--connect", "tcp/127.0.0.1:7447", "--out", tmp_path / "gw", "--listen", "tcp/0.0.0.0:7448")
-    assert "--tls" in factory("gateway", "start", *words, expect=2).stderr
+    assert "--tls" in command("gateway", "start", *words, expect=2).stderr

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.acceptance.factory_cli import FactoryCli, wait_for
+from tests.acceptance.factory_cli import Command, FactoryCli, wait_for
 
 ENDPOINT = ("--listen", "tcp/127.0.0.1:0")
 
 
 def test_missing_episodes_end_a_run_with_exit_code_1_and_the_reason(
-    factory: FactoryCli, plan: Path, tmp_path: Path
+    factory: FactoryCli, command: Command, plan: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     hub = factory.start("coordinator", "start", plan, "--out", out, *ENDPOINT)
     wait_for((out / ".coordinator.json").exists, 400)  # it builds the scenes first
-    factory("jobs", "cancel", out, "--all")
+    command("jobs", "cancel", out, "--all")
     _, said = hub.communicate(timeout=120)
     assert hub.returncode == 1
     assert "5 of 5 episodes are missing (5 cancelled)" in said

@@ -13,7 +13,6 @@ import pytest
 from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.dataset import make_dataset
 from tests.builders.fake_hub import TOKEN, FakeHub
-from tests.builders.fork_server import ForkServer
 
 REPOSITORY = "my-lab/office-navigation"
 Push = Callable[..., subprocess.CompletedProcess[str]]
@@ -34,8 +33,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def push(server: ForkServer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Push:
-    """Returns a function that runs `factory push` with a token; `token=None` runs it without a token."""
+def push(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Push:
+    """Returns a function that runs `factory push` with a token; `token=None` runs it without a token.
+
+    It starts a process, because `huggingface_hub` reads the variables of its cache and of Xet at its import only.
+    """
     for name in os.environ:
         if name.startswith(("HF_", "HUGGING")):
             monkeypatch.delenv(name)
@@ -43,7 +45,7 @@ def push(server: ForkServer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     def run(*words: object, token: str | None = TOKEN) -> subprocess.CompletedProcess[str]:
         variables = {"HF_HOME": str(tmp_path / "hf"), "HF_HUB_DISABLE_XET": "1"}
         variables |= {} if token is None else {"HF_TOKEN": token}
-        return FactoryCli(server, tmp_path, tmp_path / "cache", variables).run("push", *words)
+        return FactoryCli(tmp_path, tmp_path / "cache", variables).run("push", *words)
 
     return run
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from tests.acceptance.compare_recordings import EXPORTS, Difference, compare_datasets, compare_trees
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.shared import build_once
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.slow]
 
 
 @pytest.fixture(scope="session")
@@ -45,11 +45,11 @@ def test_a_changed_value_is_found(reference: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("export", "sample"), [("paper", ()), ("lerobot", ("--fps", 5)), ("webdataset", ())])
 def test_exports_of_both_recordings_are_equal_byte_by_byte(
-    factory: FactoryCli, reference: Path, states: Path, tmp_path: Path, export: str, sample: tuple[object, ...]
+    command: Command, reference: Path, states: Path, tmp_path: Path, export: str, sample: tuple[object, ...]
 ) -> None:
     words = ("--to", export, *EXPORTS[export], *sample, "--episode", "1-2", "--workers", 1)
     for name, root in (("frames", reference), ("states", states)):
-        factory("export", root, *words, "-o", tmp_path / name)
+        command("export", root, *words, "-o", tmp_path / name)
     assert compare_trees(tmp_path / "frames", tmp_path / "states") == []
     (tmp_path / "states" / "export.json").write_text("{}")
     assert [one.what for one in compare_trees(tmp_path / "frames", tmp_path / "states")] == ["export.json"]

@@ -10,30 +10,30 @@ import sys
 from schemas.support.extras import install_command
 
 
-def test_a_report_is_written_and_rewritten(factory, reference, tmp_path):
-    found = factory.json("report", reference, "-o", tmp_path / "out")
+def test_a_report_is_written_and_rewritten(command, reference, tmp_path):
+    found = command.json("report", reference, "-o", tmp_path / "out")
     assert (found["episodes"], found["complete"], found["remarks"]) == (5, True, [])
     assert all((tmp_path / "out" / name).stat().st_size > 0 for name in found["files"])
     assert found["page"] == str(tmp_path / "out" / "report.html")
     assert json.loads((tmp_path / "out" / "report.json").read_text())["files"] == found["files"]
     assert found["comparisons"] == []  # the plan differs from the paper's plan
-    found = factory.json("report", reference, "-o", tmp_path / "out", "--compare-paper")
+    found = command.json("report", reference, "-o", tmp_path / "out", "--compare-paper")
     said = {row["what"]: row for row in found["comparisons"]}
     assert said["TL mean, all"]["published"] == 2.74
     assert said["TL mean, all"]["reason"]
 
 
-def test_damage_sets_the_exit_code_and_a_nonempty_folder_is_refused(factory, reference, tmp_path):
+def test_damage_sets_the_exit_code_and_a_nonempty_folder_is_refused(command, reference, tmp_path):
     damaged = tmp_path / "damaged"
     shutil.copytree(reference, damaged)
     bundle = damaged / "episodes" / "ep_000001.zip"
     bundle.write_bytes(bytes(bundle.stat().st_size))
-    done = factory("report", damaged, "-o", tmp_path / "out", expect=1)
+    done = command("report", damaged, "-o", tmp_path / "out", expect=1)
     assert "report.html: 5 of 5 episodes" in done.stdout
     assert "damage: episodes/ep_000001.zip: skipped in trajectories" in done.stderr
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
-    refused = factory("report", reference, "-o", tmp_path / "mine", expect=2).stderr
+    refused = command("report", reference, "-o", tmp_path / "mine", expect=2).stderr
     assert "--force" in refused
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 

@@ -5,27 +5,30 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from tests.acceptance.factory_cli import kill_group, wait_for
 
 
+@pytest.mark.slow
 def test_shards_of_which_one_is_killed_and_resumed_give_the_digest_of_the_run_without_shards(
-    factory, plan, reference, tmp_path
+    factory, command, plan, reference, tmp_path
 ):
     shards, scenes = tmp_path / "shards", reference / "scenes"
-    command = ("run", plan, "--scenes", scenes, "--workers", 1)
-    killed = factory.start(*command, "--shard", "1/2", "--out", shards / "a")
+    run = ("run", plan, "--scenes", scenes, "--workers", 1)
+    killed = factory.start(*run, "--shard", "1/2", "--out", shards / "a")
     wait_for(lambda: (shards / "a" / "run_shard.json").is_file())
     kill_group(killed)
-    factory(*command, "--shard", "2/2", "--out", shards / "b")
+    factory(*run, "--shard", "2/2", "--out", shards / "b")
     assert (
         "1 of 2 shards are not finished: 1/2"
-        in factory("gather", plan, shards, "--out", tmp_path / "joined", expect=2).stderr
+        in command("gather", plan, shards, "--out", tmp_path / "joined", expect=2).stderr
     )
     factory("run", "--out", shards / "a", "--workers", 1)
-    joined = factory.json("gather", plan, shards, "--out", tmp_path / "joined")
-    assert joined["digest"] == factory.json("verify", reference)["digest"]
-    assert factory.json("verify", tmp_path / "joined", "--deep")["complete"]
-    status = factory.json("status", shards)
+    joined = command.json("gather", plan, shards, "--out", tmp_path / "joined")
+    assert joined["digest"] == command.json("verify", reference)["digest"]
+    assert command.json("verify", tmp_path / "joined", "--deep")["complete"]
+    status = command.json("status", shards)
     assert (status["finished_shards"], status["archived"]) == (2, 5)
     assert _scene_of(shards / "a") == _scene_of(reference)
 

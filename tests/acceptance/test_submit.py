@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.acceptance.factory_cli import FactoryCli
-from tests.builders.fork_server import ForkServer
+from tests.acceptance.factory_cli import Command, FactoryCli
 
 _SBATCH = """#!/bin/bash
 if grep -q partition=cpu "${@: -1}"; then echo 7; else echo "no such partition" >&2; exit 1; fi
@@ -17,18 +16,18 @@ if grep -q partition=cpu "${@: -1}"; then echo 7; else echo "no such partition" 
 
 
 @pytest.fixture
-def site(server: ForkServer, cache: Path, tmp_path: Path, plan: Path) -> FactoryCli:
-    """The command line on a login node where Slurm accepts only the partition `cpu`."""
+def site(cache: Path, tmp_path: Path, plan: Path) -> Command:
+    """The commands on a login node where Slurm accepts only the partition `cpu`."""
     (tmp_path / "bin").mkdir()
     sbatch = tmp_path / "bin" / "sbatch"
     sbatch.write_text(_SBATCH)
     sbatch.chmod(0o755)
-    return FactoryCli(server, tmp_path / "home", cache, {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"})
+    return Command(cache, {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"})
 
 
 @pytest.mark.parametrize("mode", ["shards", "workers"])
 def test_a_refused_run_leaves_nothing_so_that_the_command_can_be_repeated(
-    site: FactoryCli, plan: Path, tmp_path: Path, mode: str
+    site: Command, plan: Path, tmp_path: Path, mode: str
 ) -> None:
     command = ("submit", "slurm", plan, "--out", tmp_path / "run", "--tasks", 2, "--mode", mode)
     refused = site(*command, "--partition", "gpu", expect=1)
@@ -52,7 +51,7 @@ def test_a_refused_run_leaves_nothing_so_that_the_command_can_be_repeated(
 
 
 def test_commands_accept_the_folder_of_a_submitted_run_or_suggest_what_to_give(
-    site: FactoryCli, plan: Path, tmp_path: Path
+    site: Command, factory: FactoryCli, plan: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
     site("submit", "slurm", plan, "--out", run, "--tasks", 2, "--partition", "cpu")
@@ -60,5 +59,5 @@ def test_commands_accept_the_folder_of_a_submitted_run_or_suggest_what_to_give(
     assert f"give {run / 'dataset'}" in site("stats", run, expect=1).stderr
     assert f"factory status {run}" in site("verify", run / "dataset", expect=1).stderr
     shard = ("--shard", "1/2", "--scenes", run / "scenes", "--out", run / "shards" / "1", "--gate", "skip")
-    site("run", run / "slurm" / "plan.toml", *shard, "--workers", 1)
+    factory("run", run / "slurm" / "plan.toml", *shard, "--workers", 1)
     assert [one["finished"] for one in site.json("status", run)["shards"]] == [True]

@@ -14,8 +14,6 @@ from typing import Any
 
 import structlog
 
-from tests.builders.fork_helper import NAME as FORK_HELPER
-
 LIMITS = (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_AS, resource.RLIMIT_CORE)
 RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
 """Limit that a coordinator raises to the hard limit. It is restored like the others, but a test may change
@@ -114,24 +112,16 @@ def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
 
 
 def children_of(pid: int) -> set[int]:
-    """Returns the child processes of a process, except its fork helper.
-
-    The helper is the oldest child with the helper's name. Another child may have this name for a moment, while it
-    forks its own helper.
-    """
-    found, helpers = set(), []
+    """Returns the running child processes of a process."""
+    found = set()
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
-            name, _, rest = status.read_text().rpartition(")")
+            fields = status.read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        fields = rest.split()
         if int(fields[1]) == pid and fields[0] != "Z":
-            child = int(status.parent.name)
-            found.add(child)
-            if name.endswith(f"({FORK_HELPER}"):
-                helpers.append((int(fields[19]), child))
-    return found - {child for _, child in sorted(helpers)[:1]}
+            found.add(int(status.parent.name))
+    return found
 
 
 def is_gone(pid: int) -> bool:

@@ -19,7 +19,6 @@ from pathlib import Path
 from schemas.plan import Plan
 from schemas.support.closing import Closing
 from schemas.terms import Recording
-from tests.builders.fork_server import Child, ForkServer
 from tests.builders.ledger import room_plan
 from tests.builders.ports import free_endpoint
 from tests.chaos.bundle_maker import BundleMaker
@@ -31,7 +30,7 @@ LARGE_CRASH_BUDGET = 20
 """Permitted crashes of a job in a run in which the simulations of honest hosts are killed."""
 FAULTY_HOST = "faulty"
 """Name of the host that damages its bundles; honest hosts are named `host-NUMBER`."""
-_Process = subprocess.Popen[bytes] | Child
+_Process = subprocess.Popen[bytes]
 LEASE_S = 2.0
 _EXITS_WITHIN_S = 30.0
 """Time within which a worker must exit after SIGTERM, seconds; long, because the machine is overloaded in a campaign.
@@ -53,8 +52,6 @@ class ClusterCommands:
     """Timeout of a round, seconds."""
     has_small_disk: bool
     """Whether the coordinator keeps its files on the small test disk, if there is one."""
-    modules: tuple[str, ...] = ()
-    """Modules that the fork server imports in advance; if empty, no fork server is used."""
     gateways: int = 0
     gateway: Callable[[Path, str, str], list[str]] | None = None
     """(directory, endpoint of the coordinator, endpoint) -> command line; the gateway is named like the directory."""
@@ -102,7 +99,6 @@ def fake_commands(
         lambda folder, endpoints, bundle_maker: worker(folder, endpoints, "light_simulation.py", bundle_maker),
         longest_s=_BASE_S + _EPISODE_S * episodes,
         has_small_disk=True,
-        modules=("tests.builders.room_coordinator", "tests.builders.worker", "tests.builders.room_gateway"),
         gateways=gateways,
         gateway=lambda folder, core, endpoint: _module(
             "tests.builders.room_gateway", folder, folder.name, core, endpoint
@@ -169,10 +165,6 @@ class ChaosCluster(Closing):
         endpoints = self.endpoints
         self.wires = self._stack.enter_context(Wires([endpoints] * (workers + (damage > 0))))
         self._bundle_maker = self._stack.enter_context(BundleMaker())
-        preload = disk.preload if disk is not None else {}
-        self._fork_server = (
-            self._stack.enter_context(ForkServer(commands.modules, os.environ | preload)) if commands.modules else None
-        )
         self._stack.callback(self._kill_all)
         self.coordinator = self._start_coordinator()
         self.gateways = [self._start_gateway(number) for number in range(commands.gateways)]
@@ -416,9 +408,6 @@ class ChaosCluster(Closing):
         return self._spawn(self.commands.worker(self.root / f"host-{number}", endpoints, self._bundle_maker.name), {})
 
     def _spawn(self, command: Sequence[str], extra: dict[str, str]) -> _Process:
-        if self._fork_server is not None:
-            _, _, module, *words = command
-            return self._fork_server.start(module, words, os.environ | extra, self.log)
         with self.log.open("ab") as log:
             process = subprocess.Popen(
                 command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=os.environ | extra

@@ -71,6 +71,7 @@ def test_a_hostile_peer_and_a_faulty_host_neither_change_nor_lose_episodes(tmp_p
     assert tally.outcomes["invalid"] + tally.outcomes["crash"] > 0
 
 
+@pytest.mark.slow
 def test_workers_switch_gateways_after_a_kill_and_the_gathered_dataset_has_the_reference_digest(reference, tmp_path):
     with ChaosCluster(tmp_path, fake_commands(EPISODES, 3.0, gateways=2), 2) as cluster:
         deadline = time.monotonic() + 240

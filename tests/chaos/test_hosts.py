@@ -17,7 +17,7 @@ from tests.chaos.hosts import Hosts, why_not
 EPISODES = 6
 LEASE_S = 2.0
 REASON = why_not()
-pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(REASON), reason=REASON)]
 
 
 class Site:

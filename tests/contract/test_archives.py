@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,6 @@ from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from tests.builders.layout_package import make_layout
 from tests.builders.object_server import ObjectServer
-from tests.builders.script import script
 
 _HOLD = """
 import sys
@@ -56,8 +56,9 @@ class Kind:
         return sorted(path.name for path in (self.root / folder).iterdir())
 
     def run(self, text: str) -> subprocess.CompletedProcess[str]:
-        arguments = [self.home] if self.store is None else [self.home, self.store]
-        return subprocess.run(script(_HOLD + text, *arguments), capture_output=True, text=True, check=False)
+        arguments = [self.home] if self.store is None else [self.home, str(self.store)]
+        command = [sys.executable, "-c", _HOLD + text, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(params=["directory", "bucket"])

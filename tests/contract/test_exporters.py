@@ -22,7 +22,6 @@ from factory.export.registry import EXPORTERS, find_exporter
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import EXTRA_OF, install_command
 from tests.builders.dataset import make_dataset
-from tests.builders.script import script
 
 EPISODES = 3
 every_format = pytest.mark.parametrize("name", list(EXPORTERS))
@@ -129,13 +128,14 @@ run_export(order, lambda progress: os._exit(9) if progress.done else None)
 """
 
 
+@pytest.mark.slow
 @every_format
 def test_full_disk_and_kill_leave_only_whole_files(
     dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
     """A file size limit simulates a full disk: both raise an OSError during a write."""
     out = tmp_path / "out"
-    command = script(_HARD_TIMES, dataset, out, name)
+    command = [sys.executable, "-c", _HARD_TIMES, dataset, out, name]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 9, done.stderr
     message, files, leftovers = done.stdout.splitlines()

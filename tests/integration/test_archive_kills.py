@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
 from coordinator.archive.opening import open_archive
-from tests.builders.script import script
 
 _WRITER = """
 import hashlib, sys
@@ -34,7 +34,8 @@ def test_killed_writer_leaves_only_whole_episodes(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     following = 1
     for _ in range(6):
-        writer = subprocess.Popen(script(_WRITER, tmp_path, following), stdout=subprocess.PIPE, text=True)
+        command = [sys.executable, "-c", _WRITER, tmp_path, str(following)]
+        writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert writer.stdout is not None
         reported = [int(writer.stdout.readline())]  # the writer has started
         time.sleep(float(rng.uniform(0, 0.1)))

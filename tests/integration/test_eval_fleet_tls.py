@@ -90,6 +90,7 @@ def test_workers_with_tls_run_an_evaluation_and_resume_the_collection(drives, hu
         until(lambda: hub.progress().jobs["archived"] > before)
 
 
+@pytest.mark.slow
 def test_workers_behind_a_gateway_run_an_evaluation(drives, hub, pki, tmp_path):
     guard = Guard(pki / "gw1", of_gateway=True)
     with (

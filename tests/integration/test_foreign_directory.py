@@ -13,7 +13,6 @@ import pytest
 from coordinator.validation.validator import Validator
 from tests.builders.bundle import bundle_bytes, job_for
 from tests.builders.dataset import chair, make_dataset
-from tests.builders.fork_helper import NEW_INTERPRETER
 from workers.client.settings import WorkerSettings
 from workers.process.messages import SimulationReportKind
 from workers.process.simulation import Simulation
@@ -42,7 +41,6 @@ def traps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (folder / name).mkdir()
         (folder / name / "__init__.py").write_text(text)
     monkeypatch.chdir(folder)
-    monkeypatch.setenv(NEW_INTERPRETER, "1")
     yield folder
     assert sorted(path.name for path in tmp_path.glob("executed-*")) == []
 

@@ -136,6 +136,7 @@ def test_a_long_name_of_a_field_is_refused_without_being_repeated(hub, peer):
         assert len(refusal.error) < 1000
 
 
+@pytest.mark.slow
 def test_a_host_has_a_bounded_number_of_sessions(hub, peer):
     mine = version("minivla-factory")
     replies = [

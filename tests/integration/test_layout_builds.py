@@ -273,6 +273,7 @@ def content_digests(folder: Path, *build_command: str) -> list[str]:
         return read_content_digests(connection)
 
 
+@pytest.mark.slow
 def test_a_killed_builder_does_not_change_the_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MINIVLA_CACHE", str(tmp_path))
     (tmp_path / "scenes").mkdir()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ from factory.dataset.reader import Dataset
 from schemas.protocol.address_file import read_address
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children
+from schemas.support.child import python_module
 from schemas.terms import Recording
 from tests.builders.fake_coordinator import free_endpoint
-from tests.builders.fork_server import Child, ForkServer
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.object_server import ObjectServer
 from tests.builders.store_relay import Moment, StoreRelay
@@ -72,7 +72,7 @@ STEPS = [
 class Killer:
     """Kills a process at a step and waits for its exit before the request continues."""
 
-    def __init__(self, step: Step, process: Child) -> None:
+    def __init__(self, step: Step, process: subprocess.Popen[bytes]) -> None:
         self._step, self._process = step, process
         self._is_under_way = False
 
@@ -104,10 +104,11 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def coordinator(server: ForkServer, root: Path, endpoint: str, store: ObjectPath) -> Iterator[Child]:
+def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subprocess.Popen[bytes]]:
     """Runs a coordinator in a separate process; yields the process once it listens."""
     words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, Recording.FRAMES, store)
-    process = server.start("tests.builders.room_coordinator", [*map(str, words)], os.environ, Path(os.devnull))
+    command = python_module("tests.builders.room_coordinator", *map(str, words))
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         until(lambda: read_address(root / "out") is not None, 60)
         yield process
@@ -133,9 +134,9 @@ def episodes(root: Place) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in children(root / "episodes")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", STEPS, ids=str)
 def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_an_episode(
-    server: ForkServer,
     step: Step,
     store: ObjectPath,
     relay: StoreRelay,
@@ -144,7 +145,7 @@ def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_a
     tmp_path: Path,
 ) -> None:
     endpoint = free_endpoint()
-    with coordinator(server, tmp_path, endpoint, store) as process, WireWorker((endpoint,), RUN.run) as worker:
+    with coordinator(tmp_path, endpoint, store) as process, WireWorker((endpoint,), RUN.run) as worker:
         relay.watch = Killer(step, process)
         job, lease = worker.job()
         assert worker.deliver(lease, bundle_for(job))

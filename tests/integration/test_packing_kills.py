@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,7 +22,6 @@ from schemas.storage.episode_list import list_episodes
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place
 from tests.builders.object_server import ObjectServer
-from tests.builders.script import script
 from tests.builders.store_relay import Moment, StoreRelay
 
 EPISODES = {number: hashlib.sha256(b"%d" % number).digest() * (10 + number) for number in (1, 2, 5, 9)}
@@ -65,7 +65,7 @@ _PACK = "archive.pack(digests, 1, 10); archive.write_shard_index()"
 
 def kill_at_each_step(folder: Path, template: Path, work: str) -> int:
     """Runs `work` on copies of a directory and kills each run at a different operation; returns the number of kills."""
-    command = script(_KILLED_AT_EACH_STEP.format(digests=DIGESTS, work=work), template, folder)
+    command = [sys.executable, "-c", _KILLED_AT_EACH_STEP.format(digests=DIGESTS, work=work), template, folder]
     folder.mkdir()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -124,6 +124,7 @@ def test_a_packing_killed_at_any_step_loses_and_duplicates_nothing(files: Path, 
     assert len(shards) == 1
 
 
+@pytest.mark.slow
 def test_a_restart_after_a_kill_loses_and_duplicates_nothing_if_the_restart_is_killed_too(
     files: Path, packed: Path, tmp_path: Path
 ) -> None:
@@ -142,6 +143,7 @@ def test_a_restart_after_a_kill_loses_and_duplicates_nothing_if_the_restart_is_k
         assert quarantined(root) == [b"other"]
 
 
+@pytest.mark.slow
 def test_a_quarantine_of_a_packed_episode_killed_at_any_step_keeps_its_bytes(packed: Path, tmp_path: Path) -> None:
     work = "archive = open_archive(root); archive.quarantine(archive.path_of(5), 'torn')"
     kills = kill_at_each_step(tmp_path / "kills", packed, work)
@@ -191,7 +193,7 @@ def test_a_packing_killed_at_a_request_to_the_store_loses_and_duplicates_nothing
     store = ObjectPath.at(f"{bucket_url()}/run")
     for number, data in EPISODES.items():
         store.objects.put(f"episodes/ep_{number:06d}.zip", data)
-    command = script(_PACK_IN_BUCKET.format(digests=DIGESTS, pack=_PACK), tmp_path, store)
+    command = [sys.executable, "-c", _PACK_IN_BUCKET.format(digests=DIGESTS, pack=_PACK), tmp_path, str(store)]
     with StoreRelay(object_store.endpoint) as relay:
         victim = subprocess.Popen(command, env=os.environ | {"AWS_ENDPOINT_URL": relay.endpoint})
 

@@ -12,7 +12,6 @@ from factory.verify.dataset import verify
 from schemas.storage.object_path import ObjectPath
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import FactoryCli
-from tests.builders.fork_server import ForkServer
 from tests.builders.object_server import ObjectServer
 
 pytestmark = pytest.mark.gl
@@ -24,17 +23,15 @@ def upload(root: Path, place: ObjectPath) -> None:
             place.objects.put((place / str(path.relative_to(root))).key, path.read_bytes())
 
 
+@pytest.mark.slow
 def test_states_in_a_bucket_are_rendered_into_a_bucket(
-    server: ForkServer,
     object_store: ObjectServer,
     cache: Path,
     recordings: dict[Recording, Path],
     bucket_url: Callable[[], str],
     tmp_path: Path,
 ) -> None:
-    factory = FactoryCli(
-        server, tmp_path, cache, {**object_store.variables(), "MINIVLA_STATE": str(tmp_path / "state")}
-    )
+    factory = FactoryCli(tmp_path, cache, {**object_store.variables(), "MINIVLA_STATE": str(tmp_path / "state")})
     bucket = bucket_url()
     states, out = ObjectPath.at(f"{bucket}/states"), ObjectPath.at(f"{bucket}/frames")
     upload(recordings[Recording.STATES], states)

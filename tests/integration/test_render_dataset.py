@@ -24,7 +24,7 @@ from schemas.job import Job
 from schemas.storage.dataset_files import EPISODES, METADATA_FILE, SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.dataset import make_dataset
 from workers.sim.context import SimulationContext
 from workers.sim.render_recording import render_recording
@@ -62,6 +62,7 @@ def test_the_rendered_dataset_has_the_digest_of_the_frames_recording(
     assert [episode.meta.provenance for episode in Dataset(out)] == [episode.meta.provenance for episode in recorded]
 
 
+@pytest.mark.slow
 def test_an_interrupted_rendering_continues_and_makes_no_episode_twice(
     factory: FactoryCli, recordings: Recordings, tmp_path: Path
 ) -> None:
@@ -97,37 +98,37 @@ def edit_metadata(root: Path, column: str, value: int) -> None:
     pq.write_table(rows.set_column(place, column, pa.array([value] * rows.num_rows, pa.int64())), root / METADATA_FILE)
 
 
-def refusal(factory: FactoryCli, states: Path, out: Path, *words: str) -> str:
-    done = factory("render", states, "-o", out, *words, expect=1)
+def refusal(command: Command, states: Path, out: Path, *words: str) -> str:
+    done = command("render", states, "-o", out, *words, expect=1)
     assert not out.exists()
     return done.stderr
 
 
 def test_a_renderer_that_gives_other_frames_is_refused_before_the_start(
-    factory: FactoryCli, copied: Path, tmp_path: Path
+    command: Command, copied: Path, tmp_path: Path
 ) -> None:
     recorded = Dataset(copied)[0].summary.renderer
-    error = refusal(factory, copied, tmp_path / "out", "--renderer", "tiny")
+    error = refusal(command, copied, tmp_path / "out", "--renderer", "tiny")
     assert f"ep_000001: frame 0 differs from the recorded digest; recorded with {recorded}, rendered with" in error
     assert "TinyRenderer" in error
 
 
 def test_an_edited_and_a_missing_scene_are_refused_before_the_start(
-    factory: FactoryCli, copied: Path, tmp_path: Path
+    command: Command, copied: Path, tmp_path: Path
 ) -> None:
     package = next((copied / SCENES).glob("*.scene.zip"))
     package.write_bytes(package.read_bytes() + b"x")
-    error = refusal(factory, copied, tmp_path / "out")
+    error = refusal(command, copied, tmp_path / "out")
     assert f"SHA-256 {Dataset(copied)[0].summary.scene_sha256} is missing: {package} has SHA-256 " in error
     assert f"{digest_of(package)}; searched: {copied / SCENES}" in error
     package.unlink()
-    assert "no package of scene box_room was found; searched:" in refusal(factory, copied, tmp_path / "out")
+    assert "no package of scene box_room was found; searched:" in refusal(command, copied, tmp_path / "out")
 
 
-def test_episodes_of_a_newer_format_are_refused(factory: FactoryCli, copied: Path, tmp_path: Path) -> None:
+def test_episodes_of_a_newer_format_are_refused(command: Command, copied: Path, tmp_path: Path) -> None:
     edit_metadata(copied, "format", BUNDLE_FORMAT + 1)
     expected = f"has episodes of bundle format {BUNDLE_FORMAT + 1}, this software reads up to {BUNDLE_FORMAT}: upgrade"
-    assert expected in refusal(factory, copied, tmp_path / "out")
+    assert expected in refusal(command, copied, tmp_path / "out")
 
 
 def test_frames_that_do_not_fit_on_the_disk_are_refused(copied: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.verify.dataset import verify
 from schemas.terms import Recording
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.ports import free_endpoint
 
 pytestmark = pytest.mark.gl
@@ -27,8 +27,9 @@ def test_workers_render_the_states_of_a_coordinator(
     assert Dataset(out).digest == Dataset(recordings[Recording.FRAMES]).digest
 
 
+@pytest.mark.slow
 def test_episodes_that_are_rendered_at_gateways_are_gathered(
-    factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
+    factory: FactoryCli, command: Command, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     core, door, out, gateway = free_endpoint(), free_endpoint(), tmp_path / "frames", tmp_path / "gw1"
     start = ("coordinator", "start", "--states", recordings[Recording.STATES], "--out", out, "--listen", core)
@@ -39,14 +40,14 @@ def test_episodes_that_are_rendered_at_gateways_are_gathered(
     between.terminate()
     between.wait(60)
     assert list((out / "episodes").iterdir()) == []
-    factory("gather", out, gateway)
+    command("gather", out, gateway)
     report = verify(out, deep=True)
     assert (report.ok, report.digest) == (True, Dataset(recordings[Recording.FRAMES]).digest)
 
 
 def test_a_plan_together_with_states_is_refused(
-    factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
+    command: Command, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     start = ("coordinator", "start", "demo", "--states", recordings[Recording.STATES], "--out", tmp_path / "o")
-    assert "the plan is that of the dataset; omit PLAN demo" in factory(*start, expect=2).stderr
+    assert "the plan is that of the dataset; omit PLAN demo" in command(*start, expect=2).stderr
     assert not (tmp_path / "o").exists()

@@ -46,6 +46,7 @@ def is_worker(pid: int) -> bool:
     return Path(f"/proc/{pid}/comm").read_text() == "worker\n"
 
 
+@pytest.mark.slow
 def test_kills_of_a_worker_and_of_the_coordinator_do_not_change_a_rendered_dataset(
     factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import shutil
 import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -23,9 +24,8 @@ from schemas.errors import UsageError
 from schemas.storage.dataset_files import SCENES
 from schemas.storage.place import digest_of
 from schemas.terms import Recording, Split
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command
 from tests.builders.fresh_process import in_fresh_process
-from tests.builders.script import script
 
 pytestmark = pytest.mark.gl
 
@@ -141,11 +141,11 @@ def test_the_card_names_the_software_that_gives_identical_frames(states: Dataset
 
 
 def test_a_contact_sheet_of_both_recordings_is_equal(
-    factory: FactoryCli, recordings: dict[Recording, Path], tmp_path: Path
+    command: Command, recordings: dict[Recording, Path], tmp_path: Path
 ) -> None:
     pictures = []
     for record, root in recordings.items():
-        factory("show", root, 1, "-o", tmp_path / f"{record}.png")
+        command("show", root, 1, "-o", tmp_path / f"{record}.png")
         pictures.append(np.asarray(Image.open(tmp_path / f"{record}.png")))
     assert np.array_equal(*pictures)
 
@@ -159,7 +159,8 @@ def copied(states: Dataset, tmp_path: Path) -> Path:
 def read_in_new_process(root: Path, **environment: str) -> str:
     """Returns the error of reading a frame in a process that has no decoded scenes; empty if there was none."""
     code = f"from minivla import Dataset\nprint(Dataset({str(root)!r})[0].frame(1).rgb.shape)"
-    done = subprocess.run(script(code), env=os.environ | environment, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
     return done.stderr if done.returncode else ""
 
 

@@ -12,7 +12,7 @@ from coordinator.archive.directory import DirectoryArchive
 from coordinator.tables.split_tables import find_faults, write_split_tables
 from factory.push.files import lacks_thumbnails, render_thumbnails
 from schemas.terms import Recording
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command
 
 pytestmark = pytest.mark.gl
 
@@ -47,9 +47,9 @@ def test_rendered_thumbnails_equal_those_of_a_frames_dataset(copied: Path, frame
     assert thumbnails_of(copied) == thumbnails_of(frames)
 
 
-def test_a_push_names_the_option_for_missing_thumbnails(factory: FactoryCli, copied: Path, frames: Path) -> None:
+def test_a_push_names_the_option_for_missing_thumbnails(command: Command, copied: Path, frames: Path) -> None:
     notes = []
     for root in (copied, frames):
-        notes.append(factory("push", root, "someone/nav", "--dry-run").stderr)
+        notes.append(command("push", root, "someone/nav", "--dry-run").stderr)
     assert "no thumbnails for the Hub's viewer; --thumbnails renders them" in notes[0]
     assert "thumbnails" not in notes[1]

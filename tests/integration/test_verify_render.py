@@ -19,9 +19,8 @@ from schemas.instruction.start_view import StartView
 from schemas.plan import MAX_EPISODES
 from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.terms import Recording
-from tests.acceptance.factory_cli import FactoryCli
+from tests.acceptance.factory_cli import Command, FactoryCli
 from tests.builders.dataset import make_dataset
-from tests.builders.fork_server import ForkServer
 
 pytestmark = pytest.mark.gl
 Recordings = dict[Recording, Path]
@@ -110,12 +109,12 @@ def test_the_difference_from_stored_frames_is_reported_by_channel(copy: Callable
 
 
 @pytest.fixture
-def tiny(server: ForkServer, cache: Path, tmp_path: Path) -> FactoryCli:
-    """The command line with PyBullet's TinyRenderer."""
-    return FactoryCli(server, tmp_path, cache, {"MINIVLA_RENDERER": "tiny"})
+def tiny(cache: Path) -> Command:
+    """The commands with PyBullet's TinyRenderer."""
+    return Command(cache, {"MINIVLA_RENDERER": "tiny"})
 
 
-def test_pixels_of_another_renderer_are_compared_with_a_reference(tiny: FactoryCli, recordings: Recordings) -> None:
+def test_pixels_of_another_renderer_are_compared_with_a_reference(tiny: Command, recordings: Recordings) -> None:
     states, frames = recordings[Recording.STATES], recordings[Recording.FRAMES]
     words = ("verify", states, "--render", 1, "--reference", frames)
     found = tiny.json(*words, expect=1)["difference"]
@@ -131,7 +130,7 @@ def test_pixels_of_another_renderer_are_compared_with_a_reference(tiny: FactoryC
     assert "3 frames compared; colours in levels of 255, depth in metres" in table
 
 
-def test_without_stored_pixels_the_option_for_a_reference_is_named(tiny: FactoryCli, recordings: Recordings) -> None:
+def test_without_stored_pixels_the_option_for_a_reference_is_named(tiny: Command, recordings: Recordings) -> None:
     printed = tiny("verify", recordings[Recording.STATES], "--render", 1, expect=1).stdout
     assert "the recorded pixels are not stored; --reference compares with a dataset that stores them" in printed
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from tests.builders.script import script
 from tests.builders.shared import build_once, session_folder
 
 ROOT = Path(__file__).parents[3]
@@ -27,7 +27,7 @@ print(sorted(path.name for path in build_once(Path(sys.argv[1]), build).iterdir(
 
 
 def test_concurrent_processes_get_one_complete_build(tmp_path):
-    words = script(_BUILDS, tmp_path / "thing")
+    words = [sys.executable, "-c", _BUILDS, tmp_path / "thing"]
     children = [subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) for _ in range(3)]
     found = {child.communicate()[0] for child in children}
     assert len(found) == 1

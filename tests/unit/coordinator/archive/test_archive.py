@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,6 @@ import pytest
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from schemas.job import index_of_file
-from tests.builders.script import script
 
 
 def publish(archive: Archive, index: int, data: bytes) -> Path:
@@ -94,7 +94,7 @@ with open_archive(root) as archive:
     staged.abandon()
     print(len(list((root / ".staging").iterdir())), archive.present())
 """
-    done = subprocess.run(script(text, tmp_path), capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", text, tmp_path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     message, rest = done.stdout.splitlines()
     assert message.startswith(f"cannot write {tmp_path}/.staging: File too large")

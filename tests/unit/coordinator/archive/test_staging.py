@@ -6,6 +6,7 @@ import ctypes
 import mmap
 import os
 import subprocess
+import sys
 import threading
 from contextlib import closing
 from pathlib import Path
@@ -15,7 +16,6 @@ import pytest
 from coordinator.archive.staging import Staging, is_held
 from schemas.errors import WorldError
 from schemas.storage.shards import MAX_PACKED_BYTES
-from tests.builders.script import script
 
 HOLD = """
 import sys
@@ -29,7 +29,7 @@ sys.stdin.read()
 
 def test_a_directory_is_locked_until_its_coordinator_is_killed(tmp_path: Path) -> None:
     assert is_held(tmp_path) is False
-    command = script(HOLD, tmp_path)
+    command = [sys.executable, "-c", HOLD, tmp_path]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"

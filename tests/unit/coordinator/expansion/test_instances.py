@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -47,6 +48,7 @@ def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJo
     return found
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(2, 12), st.integers(2, 12), st.integers(0, 5))
 def test_training_and_evaluation_share_no_instance_even_after_redraws(chairs: int, bins: int, seed: int) -> None:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
@@ -182,10 +183,20 @@ def _check_log(rows: Sequence[Any], log: Sequence[Any]) -> None:
     assert all(states.get(row.id, JobState.PENDING) == row.state for row in rows)
 
 
-TestStaleWorkersChangeNothing = Ledger.TestCase
-TestStaleWorkersChangeNothing.settings = settings(
-    max_examples=80, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck), database=None
-)
+def many(examples: int, steps: int) -> settings:
+    checks = list(HealthCheck)
+    return settings(
+        max_examples=examples, stateful_step_count=steps, deadline=None, suppress_health_check=checks, database=None
+    )
+
+
+def test_stale_workers_change_nothing() -> None:
+    run_state_machine_as_test(Ledger, settings=many(10, 20))
+
+
+@pytest.mark.slow
+def test_stale_workers_change_nothing_in_long_sequences_of_events() -> None:
+    run_state_machine_as_test(Ledger, settings=many(80, 30))
 
 
 def test_stale_workers_change_nothing_in_a_ledger_on_a_database_server(postgres_server):
@@ -193,7 +204,4 @@ def test_stale_workers_change_nothing_in_a_ledger_on_a_database_server(postgres_
         def new_database(self) -> str:
             return postgres_server.new_database()
 
-    few = settings(
-        max_examples=8, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck), database=None
-    )
-    run_state_machine_as_test(OnServer, settings=few)
+    run_state_machine_as_test(OnServer, settings=many(8, 20))

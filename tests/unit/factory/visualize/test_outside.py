@@ -1,4 +1,4 @@
-"""Films from outside: the robot stands in the scene, hides what is behind it, and has a shadow."""
+"""Films from outside: the robot is in the scene, hides what is behind it, and has a shadow."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -221,12 +221,12 @@ def test_no_two_visible_materials_share_a_plane() -> None:
     props, found = PropBuilder(0), []
     for name, entry in CATALOGUE.items():
         for variant in range(entry.variants):
-            faces = [face for piece in props.model(name, variant).pieces for face in level_faces(piece)]
-            for first, second in combinations(faces, 2):
-                overlap = np.minimum(first.high, second.high) - np.maximum(first.low, second.low)
-                is_hidden = first.plane in {(1, 1, 0.0), (2, -1, 0.0)}
-                if first.plane == second.plane and first.material != second.material and not is_hidden:
-                    found += [(name, variant, first.plane)] if overlap.min() > 1e-3 and overlap.prod() > 1e-4 else []
+            for plane, faces in faces_by_plane(props.model(name, variant).pieces).items():
+                is_hidden = plane in {(1, 1, 0.0), (2, -1, 0.0)}
+                for first, second in combinations(() if is_hidden else faces, 2):
+                    if first.material != second.material:
+                        overlap = np.minimum(first.high, second.high) - np.maximum(first.low, second.low)
+                        found += [(name, variant, plane)] if overlap.min() > 1e-3 and overlap.prod() > 1e-4 else []
     assert found == []
 
 
@@ -239,16 +239,27 @@ class LevelFace(NamedTuple):
     high: np.ndarray
 
 
+def faces_by_plane(pieces: Iterable[PropPiece]) -> dict[tuple[int, int, float], list[LevelFace]]:
+    found = defaultdict(list)
+    for piece in pieces:
+        for face in level_faces(piece):
+            found[face.plane].append(face)
+    return found
+
+
 def level_faces(piece: PropPiece) -> Iterator[LevelFace]:
     ends = np.cumsum(piece.mesh.counts)
-    for start, end in zip(ends - piece.mesh.counts, ends, strict=True):
-        corners = piece.mesh.points[piece.mesh.indices[start:end]]
-        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        axis = int(np.abs(normal).argmax())
-        if abs(normal[axis]) > 0.9999 * np.linalg.norm(normal) > 0:
-            flat = np.delete(corners, axis, axis=1)
-            plane = (axis, int(np.sign(normal[axis])), round(float(corners[0, axis]), 4))
-            yield LevelFace(plane, piece.material.name, flat.min(axis=0), flat.max(axis=0))
+    starts = ends - piece.mesh.counts
+    first, second, third = (piece.mesh.points[piece.mesh.indices[starts + number]] for number in range(3))
+    normals = np.cross(second - first, third - first)
+    axes = np.abs(normals).argmax(axis=1)
+    along = np.take_along_axis(normals, axes[:, None], axis=1)[:, 0]
+    is_level = (along != 0) & (np.abs(along) > 0.9999 * np.linalg.norm(normals, axis=1))
+    for number in np.flatnonzero(is_level):
+        corners, axis = piece.mesh.points[piece.mesh.indices[starts[number] : ends[number]]], int(axes[number])
+        plane = (axis, int(np.sign(along[number])), round(float(corners[0, axis]), 4))
+        others = [other for other in range(3) if other != axis]
+        yield LevelFace(plane, piece.material.name, corners.min(axis=0)[others], corners.max(axis=0)[others])
 
 
 def test_the_author_version_is_set() -> None:
