@@ -26,7 +26,7 @@ from schemas.support.apportion import apportion
 from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import describe_mistakes, read_toml
-from schemas.terms import ExpertName, Recording, SuccessMeasure
+from schemas.terms import ExpertName, Recording, SuccessMeasure, family_of
 
 _MOST_ROUNDS = 5
 """Number of times that a plan is validated again without its wrong keys, to find further mistakes."""
@@ -243,6 +243,19 @@ def scene_of(plan: Plan, name: str) -> ScenePlan:
         names = f"{', '.join(scenes)}{did_you_mean(name, scenes)}"
         raise UsageError(f"plan {plan.name!r} has no scene {name!r}; its scenes: {names}")
     return scenes[name]
+
+
+def scenes_named(plan: Plan, name: str) -> tuple[str, ...]:
+    """Returns the single scenes that a name selects: a scene, a layout, or all layouts of a family.
+
+    Raises:
+        UsageError: the plan has no such scene.
+    """
+    parts = [part.name for part in plan.parts]
+    if name in parts:
+        return (name,)
+    scene_of(plan, name)
+    return tuple(part for part in parts if family_of(part) == name)
 
 
 def shrink(

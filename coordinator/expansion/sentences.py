@@ -5,11 +5,14 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterable, Iterator
+from itertools import islice, zip_longest
 from pathlib import Path
 
 import numpy as np
 
-from coordinator.expansion.scene_cells import SceneCells
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import expand_each
+from coordinator.expansion.scene_cells import SceneCells, each_scene
 from schemas.language.compose import Probe, composer_of, explain_impossible
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
@@ -55,6 +58,29 @@ def find_missing_instructions(plan: Plan, scenes: Iterable[SceneCells]) -> list[
         why = explain_impossible(scene_language(package), plan.language, probes) if probes else ""
         missing_instructions += [f"scenes[{number}] {cells.scene.name}: language: {why}"] if why else []
     return missing_instructions
+
+
+def sample_instructions(plan: Plan, catalog: Catalog, most: int = 3) -> list[str]:
+    """Returns examples of the instructions of a plan, from as many of its scenes as possible.
+
+    Args:
+        plan: plan that its scenes support.
+        catalog: its scenes.
+        most: largest number of examples.
+    """
+    samples: dict[str, list[str]] = {}
+    if plan.language is None:
+        for planned in expand_each(plan, catalog):
+            samples.setdefault(planned.episode.scene, []).append(planned.episode.instruction)
+    else:
+        composer, rng = composer_of(plan.language), np.random.default_rng(plan.seed)
+        for cells in each_scene(plan, catalog):
+            scene = scene_language(cells.entry.path)
+            probes = islice(_probes(plan, cells, read_geometry(cells.entry.path), scene), _TARGETS)
+            written = [one.text for target, view in probes for one in composer.write(scene, view, target, False, rng)]
+            samples[cells.scene.name] = written[:most]
+    ordered = (text for texts in zip_longest(*samples.values()) for text in texts if text)
+    return list(islice(dict.fromkeys(ordered), most))
 
 
 def _probes(plan: Plan, cells: SceneCells, scene: CompiledScene, prepared: SceneLanguage) -> Iterator[Probe]:

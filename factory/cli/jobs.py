@@ -60,21 +60,20 @@ def list_(
 
     An episode gets a new job, called a draw, with another target when its job fails too often.
     """
-    from coordinator.expansion.plan_file import scene_of
+    from coordinator.expansion.plan_file import scenes_named
     from coordinator.ledger.opening import read_info
     from coordinator.ledger.reading.records import JobFilter, count_jobs, list_jobs
     from factory.runs.ledger import read_ledger
     from factory.support.terminal import print_json, print_table
 
-    selection = JobFilter(
-        states=tuple(map(JobState, states or ())),
-        scenes=scenes or (),
-        tiers=tuple(map(Tier, tiers or ())),
-        splits=tuple(map(Split, splits or ())),
-    )
     with read_ledger(site, ledger) as connection:
-        for scene in selection.scenes:
-            scene_of(read_info(connection).plan, scene)
+        plan = read_info(connection).plan if scenes else None
+        selection = JobFilter(
+            states=tuple(map(JobState, states or ())),
+            scenes=() if plan is None else tuple(name for given in scenes or () for name in scenes_named(plan, given)),
+            tiers=tuple(map(Tier, tiers or ())),
+            splits=tuple(map(Split, splits or ())),
+        )
         jobs, total = list_jobs(connection, selection, limit), count_jobs(connection, selection)
     if as_json:
         print_json({"total": total, "jobs": [_plain(job) for job in jobs]})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,10 +42,11 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     from coordinator.expansion.plan_file import load_plan
     from coordinator.expansion.possible import find_impossible
     from coordinator.expansion.scene_cells import each_scene
-    from coordinator.expansion.sentences import find_missing_instructions
+    from coordinator.expansion.sentences import find_missing_instructions, sample_instructions
     from coordinator.expansion.summary import summarise
     from factory.runs import plan_text
     from factory.runs.catalog import find_built, require_files
+    from factory.runs.estimate import estimate_run
     from factory.runs.start import shrunk_plan, warn_of_empty_splits
     from factory.support.settings import scene_cache
     from factory.support.terminal import print_json, print_text, stderr
@@ -58,16 +60,26 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     content = summarise(plan, catalog) if mistakes == [] and not has_families else None
     in_layouts = dict(planned_categories(plan).most_common())
     mistakes = find_missing_instructions(fixed, each_scene(fixed, catalog)) if mistakes == [] else mistakes
+    samples = [] if content is None else sample_instructions(plan, catalog)
     corners = {} if content is None else plan_text.corner_shares(plan, catalog)
     if as_json:
         quotas = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": plan_text.cell_rows(plan)}
         drawn = None if content is None else plan_text.content_data(content) | {"far_corner_shares": corners}
-        checks = {"categories_in_layouts": in_layouts, "mistakes": mistakes, "not_built": unknown}
-        print_json(quotas | {"content": drawn} | checks)
+        checks = {"categories_in_layouts": in_layouts, "mistakes": mistakes, "not_built": unknown, "samples": samples}
+        print_json(quotas | {"content": drawn, "estimate": asdict(estimate_run(plan))} | checks)
         return
     plan_text.print_plan(plan)
     if content is not None:
         plan_text.print_content(plan, content)
+    if samples:
+        kind = (
+            "templates; they may fit several objects"
+            if plan.language is None
+            else "verified; each fits the target only"
+        )
+        print_text(f"instructions ({kind}), for example:")
+        for text in samples:
+            print_text(f"  {text}")
     if has_families:
         plan_text.print_layout_categories(in_layouts)
     if corners:

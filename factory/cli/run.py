@@ -36,9 +36,18 @@ if TYPE_CHECKING:
     from factory.runs.plan_changes import PlanChanges
     from factory.web.http_options import HttpOptions
     from schemas.dataset.run_shard import RunShard
+    from schemas.plan import Plan
     from schemas.protocol.status import Progress
     from schemas.storage.place import Place
     from schemas.terms import RendererKind
+
+
+_CHOICE = """\
+no PLAN given, so the plan is `demo`, 16 episodes. Others:
+  factory run paper --record states      1174 episodes; templates as in the paper, 98.6 % fit several objects
+  factory run balanced --record states   1200 episodes; templates that fit one object of the scene or the view
+  factory run referring                  1200 episodes; verified sentences that fit only the target, e.g. by relations
+  factory plan new mine.toml             a plan of your own"""
 
 
 @click.command("run")
@@ -73,6 +82,9 @@ if TYPE_CHECKING:
 @click.option(
     "--address", metavar="ADDRESS", help="Address of the Ray cluster. Default: RAY_ADDRESS, or a new local one."
 )
+@click.option(
+    "--dry-run", "is_dry", is_flag=True, help="Show the episodes, the size, the time and the free space; run nothing."
+)
 @ledger_option
 @shrink_options
 @run_http_options
@@ -88,6 +100,7 @@ def command(
     packages: Place | None,
     engine: str,
     address: str | None,
+    is_dry: bool,
     ledger: str | None,
     changes: PlanChanges,
     pages: HttpOptions,
@@ -104,17 +117,18 @@ def command(
     from factory.runs.local import LocalRun
     from factory.runs.ray_engine import open_cluster
     from factory.runs.shards import choose_shard, may_take_over
-    from factory.runs.start import begin, open_scenes, warn_of_empty_splits
+    from factory.runs.start import begin, open_scenes
     from factory.support.logs import configure_logs
     from factory.web.serving import run_pages
     from workers.client.stopping import stop_on_signals
-    from workers.experts import require_expert
 
     configure_logs(verbose)
     _check_options(engine, address, renderer, pages)
     plan, is_new = begin(plan_name, site, changes)
-    require_expert(plan.expert)
-    warn_of_empty_splits(plan)
+    _note_plan(plan, is_chosen=plan_name is not None or not is_new)
+    if is_dry:
+        return _print_dry(plan, site, as_json)
+    _check_disk(plan, site, shard)
     shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
     processes = workers or os.cpu_count() or 1
     gate_mode = "skip" if not is_new or (shard is not None and gate_mode == "auto") else gate_mode
@@ -144,6 +158,43 @@ def command(
         )
         progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, pages, ledger))
     return _print_end(run, site, progress, as_json)
+
+
+def _note_plan(plan: Plan, *, is_chosen: bool) -> None:
+    """Prints what users should know about a plan before its run, and checks its expert."""
+    from factory.runs.start import warn_of_empty_splits
+    from workers.experts import require_expert
+
+    if not is_chosen:
+        click.echo(_CHOICE, err=True)
+    require_expert(plan.expert)
+    warn_of_empty_splits(plan)
+
+
+def _check_disk(plan: Plan, site: Site, shard: RunShard | None) -> None:
+    """Raises an error if the disk is too small for a whole run in a local directory."""
+    from factory.runs.estimate import count_archived, require_disk
+
+    if site.store is None and shard is None:
+        require_disk(plan, site.state_dir, count_archived(site))
+
+
+def _print_dry(plan: Plan, site: Site, as_json: bool) -> int:
+    from dataclasses import asdict
+
+    from factory.runs.estimate import count_archived, estimate_run, format_size, free_bytes
+    from factory.runs.plan_text import print_plan
+    from factory.support.terminal import print_json, print_text
+
+    archived, free = count_archived(site), None if site.store is not None else free_bytes(site.state_dir)
+    if as_json:
+        estimate = asdict(estimate_run(plan))
+        print_json({"run": plan.run, "estimate": estimate, "archived": archived, "free_bytes": free})
+        return 0
+    print_plan(plan)
+    room = "" if free is None else f", {format_size(free)} free"
+    print_text(f"{site}: {archived} of {plan.episodes} episodes exist{room}; nothing was run")
+    return 0
 
 
 def _check_options(engine: str, address: str | None, renderer: RendererKind, pages: HttpOptions) -> None:

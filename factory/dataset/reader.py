@@ -188,7 +188,7 @@ class Dataset:
             values_wanted, column = _as_strings(values), self._columns[_FILTERS[name]]
             held = column.dictionary if pa.types.is_dictionary(column.type) else column
             if name == "scene":
-                values_wanted = _with_layouts(values_wanted, held)
+                values_wanted = with_layouts(values_wanted, held)
             unheld = values_wanted.filter(pc.invert(pc.is_in(values_wanted, held)))
             require_known(name, unheld.to_pylist(), held.to_pylist, self.meta.plan)
             matching = pc.is_in(column, values_wanted).to_numpy(zero_copy_only=False)
@@ -264,7 +264,7 @@ def _rig(rig: str | Path | Rig, control_hz: int) -> Rig:
     return rig
 
 
-def _with_layouts(chosen: pa.Array, held: pa.Array) -> pa.Array:
+def with_layouts(chosen: pa.Array, held: pa.Array) -> pa.Array:
     """Returns the requested scenes, with all layouts of each requested family."""
     wanted = set(chosen.to_pylist())
     layouts = [name for name in held.unique().to_pylist() if name not in wanted and family_of(name) in wanted]

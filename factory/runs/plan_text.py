@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.cells import cells
@@ -15,6 +15,7 @@ from coordinator.expansion.draw import PlannedJob, expand, to_job
 from coordinator.expansion.nearest import NearestPlan
 from coordinator.expansion.plan_file import shrink
 from coordinator.expansion.summary import MOST_SUMMARISED, PlanSummary
+from factory.runs.estimate import describe_estimate, estimate_run
 from factory.support.terminal import print_table, print_text
 from schemas.instruction.templates import TEMPLATES
 from schemas.language.compose import Composer
@@ -24,8 +25,9 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import read_geometry
 from schemas.terms import Tier, family_of
 from workers.planning import is_way_straight
-from workers.sim.context import LoadedScene, prepare_scene
-from workers.sim.spawn import surveyed_points
+
+if TYPE_CHECKING:
+    from workers.sim.context import LoadedScene
 
 _MOST_TARGETS = 12
 """Largest number of targets of a scene whose distances along the floor are computed; each takes 0.1 s."""
@@ -41,6 +43,8 @@ def print_plan(plan: Plan) -> None:
         if scene.layouts is not None:
             print_text(f"    {_describe_layouts(plan, scene)}")
     print_cells(plan)
+    for line in describe_estimate(plan, estimate_run(plan)):
+        print_text(line)
 
 
 def print_cells(plan: Plan) -> None:
@@ -161,6 +165,8 @@ def corner_shares(plan: Plan, catalog: Catalog) -> dict[str, float]:
 
 def _share(plan: Plan, catalog: Catalog, far: list[PlannedJob]) -> float | None:
     """Returns the share for the far starts of one scene; `None` if no surveyed point is in range of its targets."""
+    from workers.sim.context import prepare_scene  # loads PyBullet, which a plan on paper does not need
+
     scene = prepare_scene(read_geometry(catalog[far[0].episode.scene].path))
     number = Counter(planned.episode.target_id for planned in far)
     first = {planned.episode.target_id: planned for planned in reversed(far)}
@@ -173,6 +179,8 @@ def _share(plan: Plan, catalog: Catalog, far: list[PlannedJob]) -> float | None:
 
 
 def _share_of_target(plan: Plan, catalog: Catalog, planned: PlannedJob, scene: LoadedScene) -> float | None:
+    from workers.sim.spawn import surveyed_points
+
     job = to_job(plan, catalog, planned, attempt=1)
     target = scene.compiled.info.target(job.target_id)
     points = surveyed_points(job, target, scene)

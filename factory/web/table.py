@@ -19,12 +19,13 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from factory.dataset.reader import Dataset
+from factory.dataset.reader import Dataset, with_layouts
 from schemas.errors import ArchiveCorrupt, UsageError
 from schemas.storage.dataset_files import METADATA_FILE
 from schemas.storage.place import Place, table_of
 from schemas.support.foreign import PARSER_ERRORS
 from schemas.support.suggest import did_you_mean
+from schemas.terms import family_of
 
 
 class FirstRows(NamedTuple):
@@ -165,7 +166,11 @@ class EpisodeTable:
         """Returns the values of a text column, sorted; empty if there are too many to choose from."""
         held = self.dataset.column(column)
         distinct = held.dictionary if pa.types.is_dictionary(held.type) else pc.unique(held)
-        return sorted(map(str, distinct.to_pylist())) if len(distinct) <= _MOST_CHOICES else []
+        names = set(map(str, distinct.to_pylist()))
+        if column == "scene":
+            families = {family_of(name) for name in names}
+            names = names | families if len(names | families) <= _MOST_CHOICES else families
+        return sorted(names) if len(names) <= _MOST_CHOICES else []
 
     def select(self, query: TableQuery, flagged: Iterable[str] = ()) -> Indices:
         """Returns the positions of the selected episodes, in order.
@@ -212,7 +217,10 @@ class EpisodeTable:
 
     def _mask(self, query: TableQuery) -> NDArray[np.bool_] | None:
         masks = [
-            _matches(self.dataset.column(FILTERS[name]), lambda held, value=value: pc.equal(held, value))
+            _matches(
+                self.dataset.column(FILTERS[name]),
+                lambda held, value=value, name=name: pc.is_in(held, _values_of(name, value, held)),
+            )
             for name, value in query.filters.items()
         ]
         if query.text:
@@ -231,6 +239,12 @@ class EpisodeTable:
             while len(self._found) > _KEPT:
                 self._found.popitem(last=False)
         return result
+
+
+def _values_of(name: str, value: str, held: pa.Array) -> pa.Array:
+    """Returns the values that a filter selects: for a scene also the layouts of the family of that name."""
+    chosen = pa.array([value], pa.string())
+    return with_layouts(chosen, held) if name == "scene" else chosen
 
 
 def _matches(column: pa.Array, match: Any) -> NDArray[np.bool_]:

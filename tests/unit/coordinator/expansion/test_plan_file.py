@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS, is_paper_plan
-from coordinator.expansion.plan_file import load_plan, parse_plan, plan_to_toml, shrink
+from coordinator.expansion.plan_file import load_plan, parse_plan, plan_to_toml, scenes_named, shrink
 from coordinator.ledger.opening import plan_differences, require_plan
 from factory.runs.plan_keys import STARTER, keys_as_markdown, list_keys
 from schemas.config import DemonstrationConfig
@@ -388,3 +388,18 @@ def test_the_page_of_the_keys_and_the_starter_plan_agree_with_the_models(tmp_pat
     path = tmp_path / "new.toml"
     path.write_text(STARTER)
     assert load_plan(str(path)).episodes == 200
+
+
+def test_a_scene_a_layout_and_a_family_select_scenes_of_a_plan():
+    plan = Plan.model_validate(
+        {
+            "name": "x",
+            "splits": {"train_id": 1},
+            "scenes": [{"name": "home", "layouts": 2, "episodes": 4}, {"name": "office", "episodes": 1}],
+        }
+    )
+    assert scenes_named(plan, "home") == ("home_00000", "home_00001")
+    assert scenes_named(plan, "home_00001") == ("home_00001",)
+    assert scenes_named(plan, "office") == ("office",)
+    with pytest.raises(UsageError, match="did you mean 'home'"):
+        scenes_named(plan, "hom")

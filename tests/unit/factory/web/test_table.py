@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import pyarrow as pa
 import pytest
 
 from factory.dataset.reader import Dataset
@@ -43,6 +44,18 @@ def test_filters_and_text_are_combined(dataset):
     found = table.select(TableQuery({"split": "train_id"}, text="chair 2"))
     rows = [row for row in dataset.rows() if row["split"] == "train_id" and "CHAIR 2" in row["instruction"]]
     assert [row["episode_id"] for row in table.rows(found)] == [row["episode_id"] for row in rows] != []
+
+
+def test_a_family_selects_all_its_layouts(tmp_path):
+    make_dataset(tmp_path / "data", 4, change=vary)
+    table = EpisodeTable(Dataset(tmp_path / "data"))
+    scenes = pa.array(["home_00000", "home_00001", "office", "home_00000"]).dictionary_encode()
+    with pytest.MonkeyPatch.context() as patch:
+        column = table.dataset.column
+        patch.setattr(Dataset, "column", lambda _, name: scenes if name == "scene" else column(name))
+        assert table.select(TableQuery({"scene": "home"})).tolist() == [0, 1, 3]
+        assert table.select(TableQuery({"scene": "home_00001"})).tolist() == [1]
+        assert table.values("scene") == ["home", "home_00000", "home_00001", "office"]
 
 
 def test_a_value_that_no_episode_has_selects_nothing(dataset):
