@@ -126,9 +126,9 @@ def command(
     _check_options(engine, address, renderer, pages)
     plan, is_new = begin(plan_name, site, changes)
     _note_plan(plan, is_chosen=plan_name is not None or not is_new)
+    _check_disk(plan, None if is_dry or shard is not None else site)
     if is_dry:
         return _print_dry(plan, site, as_json)
-    _check_disk(plan, site, shard)
     shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
     processes = workers or os.cpu_count() or 1
     gate_mode = "skip" if not is_new or (shard is not None and gate_mode == "auto") else gate_mode
@@ -139,8 +139,7 @@ def command(
         )
         gate = measure_gate(plan, catalog, gate_mode, renderer=renderer, processes=processes, stop=stop)
         if gate is None:
-            click.echo("interrupted during the gate; no result was kept", err=True)
-            return 130
+            return _say_interrupted()
         cluster = stack.enter_context(open_cluster(address, workers, renderer)) if engine == "ray" else None
         run = LocalRun(
             plan=plan,
@@ -160,6 +159,11 @@ def command(
     return _print_end(run, site, progress, as_json)
 
 
+def _say_interrupted() -> int:
+    click.echo("interrupted during the gate; no result was kept", err=True)
+    return 130
+
+
 def _note_plan(plan: Plan, *, is_chosen: bool) -> None:
     """Prints what users should know about a plan before its run, and checks its expert."""
     from factory.runs.start import warn_of_empty_splits
@@ -171,11 +175,11 @@ def _note_plan(plan: Plan, *, is_chosen: bool) -> None:
     warn_of_empty_splits(plan)
 
 
-def _check_disk(plan: Plan, site: Site, shard: RunShard | None) -> None:
+def _check_disk(plan: Plan, site: Site | None) -> None:
     """Raises an error if the disk is too small for a whole run in a local directory."""
     from factory.runs.estimate import count_archived, require_disk
 
-    if site.store is None and shard is None:
+    if site is not None and site.store is None:
         require_disk(plan, site.state_dir, count_archived(site))
 
 
