@@ -118,11 +118,10 @@ def command(
     from factory.runs.ray_engine import open_cluster
     from factory.runs.shards import choose_shard, may_take_over
     from factory.runs.start import begin, open_scenes
-    from factory.support.logs import configure_logs
     from factory.web.serving import run_pages
     from workers.client.stopping import stop_on_signals
 
-    configure_logs(verbose)
+    _begin_logs(verbose)
     _check_options(engine, address, renderer, pages)
     plan, is_new = begin(plan_name, site, changes)
     _note_plan(plan, is_chosen=plan_name is not None or not is_new)
@@ -130,8 +129,8 @@ def command(
     if is_dry:
         return _print_dry(plan, site, as_json)
     shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
-    processes = workers or os.cpu_count() or 1
     gate_mode = "skip" if not is_new or (shard is not None and gate_mode == "auto") else gate_mode
+    processes = workers or os.cpu_count() or 1
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_signals())
         catalog = open_scenes(
@@ -157,6 +156,12 @@ def command(
         )
         progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, pages, ledger))
     return _print_end(run, site, progress, as_json)
+
+
+def _begin_logs(verbose: bool) -> None:
+    from factory.support.logs import configure_logs
+
+    configure_logs(verbose)
 
 
 def _say_interrupted() -> int:
