@@ -135,3 +135,24 @@ class Compiles(_Quiet):
             importlib.import_module("torch._dynamo")
             importlib.import_module("triton")
         return 0.0, 0.0
+
+
+class Forgets(_Quiet):
+    """Turns in the direction of its number of calls in all episodes, because `reset` does not restore its state."""
+
+    needs = ()
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        self.calls += 1
+        return 0.3, 1.0 if self.calls > 12 else -1.0
+
+
+class Resets(Forgets):
+    """Restores its state in `reset`."""
+
+    def reset(self, instruction: str, info: Any) -> None:
+        super().reset(instruction, info)
+        self.calls = 0

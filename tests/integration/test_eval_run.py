@@ -18,7 +18,7 @@ from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies.registry import renders_apart
 from factory.eval.process.local_campaign import run_campaign
-from factory.eval.results.publish import publish
+from factory.eval.results.publish import evaluation_of, publish
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign, playback_sources
 from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
@@ -113,6 +113,21 @@ def test_a_policy_error_fails_only_its_own_episodes(drives: Dataset, specs: Spec
     assert (raised.num_steps, hung.num_steps) == (3, 5)
     assert 0.0 < hung.trajectory_length_m < 0.1  # accelerates at 2.5 m/s2 for a quarter of a second
     assert hung.final_ne_m < hung.spawn_dist_m
+
+
+def test_a_policy_that_keeps_state_between_episodes_is_noted(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    names = [f"{MINE}:{name}" for name in ("Forgets", "Resets")]
+    campaign = campaign_of(drives, short(specs, 12), *names)
+    drive(tmp_path, campaign)
+    with open_store(tmp_path, campaign) as store:
+        forgets, resets = (store.note_of(name) for name in names)
+        assert forgets is not None
+        assert "Forgets keeps state between episodes" in (forgets.order_dependence or "")
+        assert resets is not None
+        assert resets.order_dependence is None
+        warnings = [remark for remark in evaluation_of(campaign, store).remarks if remark.startswith("warning")]
+    assert len(warnings) == 1
+    assert "in reset()" in warnings[0]
 
 
 @pytest.mark.gl

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+from pydantic import Field
+
 from factory.eval.driving.live_view import live_arrays, shows_recorded_camera
 from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy, needs_of
 from factory.eval.models.messages import PolicyLimits
@@ -35,6 +37,9 @@ class PolicyNote(Model):
     reads_instruction: bool
     renderer: str
     software: dict[str, str]
+    order_dependence: str | None = Field(default=None, exclude_if=lambda it: it is None)
+    """How an episode that was repeated alone in a new process differs from its result; null and omitted if it does not
+    differ, or if none was repeated."""
 
 
 def note_of(policy: str, knows: str, renderer: str) -> PolicyNote:

@@ -6,14 +6,14 @@ Owns the driver processes and kills them at the end. Prints nothing; a callback 
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
-from factory.eval.policies.registry import note_of
+from factory.eval.policies.registry import note_of, renders_apart
 from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, tasks_for, with_actions
@@ -24,6 +24,22 @@ _POLL_S = 0.05
 _TRIES = 2
 """Number of attempts at an episode in which the driver process dies outside of policy calls. After the last one, the
 campaign stops with an error."""
+
+
+_TIMES = {"act_ms", "seconds"}
+"""Fields of a result that are not reproducible."""
+
+
+def describe_difference(former: EpisodeResult, alone: EpisodeResult) -> str:
+    """Returns how the result of an episode differs when it is driven alone; empty if only its times differ."""
+    if former.model_dump(exclude=_TIMES) == alone.model_dump(exclude=_TIMES):
+        return ""
+    ends = [f"{one.end} after {one.num_steps} steps at {one.final_ne_m:.3f} m" for one in (former, alone)]
+    return (
+        f"{former.policy} keeps state between episodes: {former.spec_id} ended with {ends[0]}, and alone in a new "
+        f"process with {ends[1]}. Its results depend on the order of the episodes and on --workers: restore the initial "
+        "state in reset()"
+    )
 
 
 @dataclass(frozen=True)
@@ -84,6 +100,9 @@ class _PolicyCampaign:
         }
         self._drivers, self._stop, self._tell = drivers, stop, tell
         self._deaths: dict[int, int] = {}
+        self._driven: Counter[DriverProcess] = Counter()
+        self._repeatable: tuple[EvalTask, EpisodeResult] | None = None
+        """Last episode that was not the first one of its process, with its result."""
 
     def run(self) -> bool:
         """Runs the unfinished episodes; returns whether all are finished."""
@@ -98,7 +117,10 @@ class _PolicyCampaign:
                 self._keep(result)
                 pace = Pace(self._policy, pace.done + 1, pace.total, pace.successes + result.success)
                 self._tell(pace)
-        return pace.done >= pace.total
+        if pace.done < pace.total:
+            return False
+        self._repeat_alone()
+        return True
 
     def _poll_drivers(self, waiting: deque[EvalTask]) -> Iterator[EpisodeResult]:
         """Sends a task to every idle driver, polls every busy one once, and yields the results."""
@@ -116,8 +138,32 @@ class _PolicyCampaign:
             else:
                 result = self._after(report)
             if result is not None:
-                driver.current = None
+                task, driver.current = driver.current, None
+                self._driven[driver] += 1
+                if task is not None and self._driven[driver] > 1 and not result.end.is_of_the_policy:
+                    self._repeatable = task, result
                 yield result
+
+    def _repeat_alone(self) -> None:
+        """Repeats one episode in a new process, and notes a difference: then the policy depends on earlier episodes.
+
+        The built-in policies without a network keep no state, and a server's state is not in a process of ours.
+        """
+        note = self._store.note_of(self._policy)
+        if self._repeatable is None or not renders_apart(self._policy) or note is None:
+            return
+        (task, former), driver = self._repeatable, self._drivers[0]
+        driver.kill()
+        driver.send(self._order(task))
+        result: EpisodeResult | None = None
+        while result is None and not self._stop.is_set():
+            report = driver.poll(_POLL_S)
+            if isinstance(report, DriverEnded):
+                return  # a fault that the campaign did not have; the next evaluation reports it
+            result = self._after(report)
+        driver.current = None
+        if result is not None and (text := describe_difference(former, result)):
+            self._store.note(note.model_copy(update={"order_dependence": text}))
 
     def _order(self, task: EvalTask) -> DriverOrder:
         package = self._packages[task.request.spec.scene_sha256]

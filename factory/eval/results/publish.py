@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pyarrow as pa
@@ -105,8 +105,15 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         view=campaign.setup.view,
         complete=is_complete,
         policies=tuple(scores),
-        remarks=tuple(_remarks(campaign)),
+        remarks=(*_order_dependences(campaign, store), *_remarks(campaign)),
     )
+
+
+def _order_dependences(campaign: Campaign, store: Store) -> Iterator[str]:
+    for name in campaign.policies:
+        note = store.note_of(name)
+        if note is not None and note.order_dependence is not None:
+            yield f"warning: {note.order_dependence}"
 
 
 def _remarks(campaign: Campaign) -> list[str]:
