@@ -37,8 +37,8 @@ def describe_difference(former: EpisodeResult, alone: EpisodeResult) -> str:
     ends = [f"{one.end} after {one.num_steps} steps at {one.final_ne_m:.3f} m" for one in (former, alone)]
     return (
         f"{former.policy} keeps state between episodes: {former.spec_id} ended with {ends[0]}, and alone in a new "
-        f"process with {ends[1]}. Its results depend on the order of the episodes and on --workers: restore the initial "
-        "state in reset()"
+        f"process with {ends[1]}. Its results depend on the order of the episodes and on --workers: restore "
+        "the initial state in reset()"
     )
 
 
