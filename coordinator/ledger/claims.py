@@ -29,7 +29,8 @@ from schemas.protocol.messages import Beat, Lease
 HELD_STATES = (JobState.LEASED, JobState.SUBMITTED)
 GRACE = 1.5
 """Duration of leases after a restart, in multiples of the normal duration of a lease. It is more than 1, because no
-heartbeat arrived during the downtime."""
+heartbeat arrived during the downtime; the half beyond 1 leaves a worker with leases of 15 s time for its next heartbeat
+(at most 4.5 s), and for one that is lost (2 s)."""
 _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0

@@ -26,6 +26,7 @@ from factory.support.terminal import Bars, one_bar
 from schemas.appearance import Appearance
 from schemas.errors import UsageError
 from schemas.rig.rig_file import load_rig
+from schemas.support.shell import quoted
 from schemas.terms import RendererKind, Split
 from schemas.view import ViewSettings
 
@@ -45,6 +46,11 @@ def splits_of(dataset: Dataset, names: tuple[str, ...] | None) -> tuple[Split, .
     splits = tuple(
         split for split in Split if str(split) in present and (names is not None or split not in _TRAINED_ON)
     )
+    if not present:
+        raise UsageError(
+            f"{dataset.root} has no episodes: `factory status {quoted(dataset.root)}` shows its run, "
+            f"`factory run --out {quoted(dataset.root)}` continues it"
+        )
     if not splits:
         raise UsageError(
             f"{dataset.root} has no episodes in test splits; evaluate on its other splits with --split all"

@@ -147,7 +147,7 @@ class _PolicyCampaign:
     def _repeat_alone(self) -> None:
         """Repeats one episode in a new process, and notes a difference: then the policy depends on earlier episodes.
 
-        The built-in policies without a network keep no state, and a server's state is not in a process of ours.
+        The built-in policies without a network keep no state, and the state of a server is out of reach.
         """
         note = self._store.note_of(self._policy)
         if self._repeatable is None or not renders_apart(self._policy) or note is None:
