@@ -11,6 +11,7 @@ from coordinator.ledger.states import JobState
 from factory.cli.groups import CommandGroup
 from factory.cli.options import (
     count_option,
+    episode_argument,
     filter_option,
     json_option,
     ledger_option,
@@ -86,7 +87,7 @@ def list_(
 
 @command.command("show")
 @site_argument
-@click.argument("episode")
+@episode_argument
 @ledger_option
 @json_option
 def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -21,7 +22,7 @@ from schemas.builtin import BUILTIN_APPEARANCES, BUILTIN_PLAN_NAMES, BUILTIN_RIG
 from schemas.storage.place import Place, place_of
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Recording, RendererKind, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Recording, RendererKind, Split, Tier, family_of
 
 if TYPE_CHECKING:
     from schemas.dataset.run_shard import RunShard
@@ -70,6 +71,9 @@ class _DirectoryType(click.ParamType[Path]):
         return dataset_directory(value, "this command" if ctx is None else f"`{ctx.command_path}`")
 
 
+_MOST_COMPLETIONS = 200
+
+
 class _ShardType(click.ParamType):  # type: ignore[type-arg]  # its type is imported only to convert a value
     name = "shard"
 
@@ -114,7 +118,42 @@ class _Names(click.ParamType):  # type: ignore[type-arg]  # generic since click 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
         """Completes the last name in the list."""
         before, comma, last = incomplete.rpartition(",")
-        return [CompletionItem(f"{before}{comma}{name}") for name in self._known if name.startswith(last)]
+        known = self._known if self.name != "scene" else sorted({*BUILTIN_CATEGORIES, *_scenes_in(_dataset_of(ctx))})
+        return [CompletionItem(f"{before}{comma}{name}") for name in known if name.startswith(last)]
+
+
+def _dataset_of(context: click.Context) -> Path | None:
+    """Returns the local dataset that a command line names so far; `None` if it names none."""
+    for name in ("root", "site", "dataset", "data"):
+        given = context.params.get(name)
+        folder = getattr(given, "state_dir", given)
+        if isinstance(folder, str | Path) and Path(folder).is_dir():
+            return Path(folder)
+    # click parses no argument of a line that ends with an option without its value; the shell passes the whole line
+    words = shlex.split(os.environ.get("COMP_WORDS", "").replace("'", "").replace('"', ""))
+    return next((Path(word) for word in words if (Path(word) / "scenes").is_dir()), None)
+
+
+def _scenes_in(root: Path | None) -> set[str]:
+    """Returns the scenes of a dataset, and the families of its layouts, from the names of its scene packages."""
+    if root is None:
+        return set()
+    names = {path.name.removesuffix(".scene.zip").rpartition("-")[0] for path in (root / "scenes").glob("*.scene.zip")}
+    return names | {family_of(name) for name in names}
+
+
+def episode_argument(function: Command) -> Command:
+    """`EPISODE` as `episode`: a name or number, which the shell completes."""
+    return click.argument("episode", shell_complete=_complete_episode)(function)
+
+
+def _complete_episode(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    root = _dataset_of(context)
+    if root is None:
+        return []
+    prefix = word if word.startswith("ep_") else f"ep_{word.zfill(6)}" if word.isdigit() else "ep_"
+    names = {path.name.partition(".")[0] for path in (root / "episodes").glob(f"{prefix}*")}
+    return [CompletionItem(name) for name in sorted(names)[:_MOST_COMPLETIONS]]
 
 
 def filter_option(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.options import json_option, place_argument, renderer_option
+from factory.cli.options import episode_argument, json_option, place_argument, renderer_option
 
 if TYPE_CHECKING:
     from factory.runs.replay import Replay
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command("replay")
 @place_argument
-@click.argument("episode")
+@episode_argument
 @renderer_option
 @json_option
 def command(root: Place, episode: str, renderer: RendererKind, as_json: bool) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.options import count_option, json_option, place_argument, rig_option, write_option
+from factory.cli.options import count_option, episode_argument, json_option, place_argument, rig_option, write_option
 from schemas.errors import UsageError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ _KINDS = (".png", ".mp4", ".gif", ".webp")
 
 @click.command("show")
 @place_argument
-@click.argument("episode")
+@episode_argument
 @write_option("FILE", "Output file: .png, .mp4, .gif or .webp. Default: EPISODE.png.", dir_okay=False)
 @count_option("--columns", 6, "Number of frames per row of a contact sheet.", least=2, most=24)
 @rig_option("Show the cameras and lidars of a rig, a row for each. Default: the recorded camera.")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.options import count_option, json_option, place_argument, write_option
+from factory.cli.options import count_option, episode_argument, json_option, place_argument, write_option
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 from schemas.support.shell import quoted
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @click.command("view")
 @place_argument
-@click.argument("episode")
+@episode_argument
 @write_option("FILE", "Write a Rerun recording (.rrd) to this file instead of opening the viewer.")
 @count_option("--stride", 2, "Show every Nth frame.", most=1000)
 @json_option

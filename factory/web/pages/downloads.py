@@ -24,6 +24,8 @@ from factory.export.options import McapOptions
 from factory.visualize.film import draw_film, film_rate, write_mp4
 from factory.web.context import context_of
 from factory.web.pages.find import find_episode
+from schemas.errors import UsageError
+from schemas.support.extras import require_package
 
 _AT_ONCE = 1
 """Number of downloads that are made at a time; other requests wait."""
@@ -96,3 +98,16 @@ DOWNLOADS: MappingProxyType[str, Callable[[Episode, Path], Path]] = MappingProxy
     {"mp4": _make_film, "mcap": _make_mcap, "lerobot": _make_lerobot, "rerun": _make_rerun, "zip": _copy_bundle}
 )
 """Function that makes a file in a folder, by kind."""
+_NEEDED = MappingProxyType({"rerun": "rerun"})
+"""Module of an optional package that a download needs, by kind."""
+
+
+def download_obstacles() -> dict[str, str]:
+    """Returns for each kind of download why it cannot be made here, or an empty text."""
+    obstacles = dict.fromkeys(DOWNLOADS, "")
+    for kind, module in _NEEDED.items():
+        try:
+            require_package(module, f"the download {kind}")
+        except UsageError as error:
+            obstacles[kind] = str(error)
+    return obstacles

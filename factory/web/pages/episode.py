@@ -21,7 +21,7 @@ from factory.web.charts import WIDTH, draw_lines
 from factory.web.context import WebContext, context_of, page, svg_image
 from factory.web.forms import read_form
 from factory.web.frames import KINDS, SMALL_PX, FrameKey, TooBusy
-from factory.web.pages.downloads import DOWNLOADS, download
+from factory.web.pages.downloads import download, download_obstacles
 from factory.web.pages.find import find_episode
 from schemas.measure import Goal
 from schemas.terms import Recording
@@ -158,7 +158,7 @@ def show(request: Request) -> Response:
         small_px=SMALL_PX,
         mark=context.marks.read().get(summary.episode_id, Mark()),
         neighbours=_neighbours(context, summary.index),
-        downloads=DOWNLOADS,
+        downloads=download_obstacles(),
         most_note=MOST_NOTE_CHARS,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import click
 import pytest
@@ -98,3 +99,17 @@ def test_the_shell_completes_the_names_of_imported_scenes() -> None:
     folder.mkdir(parents=True)
     (folder / "home_lab-0123456789ab.scene.zip").write_bytes(b"")
     assert complete("scene", "survey", "ho") == [("plain", "hospital"), ("plain", "home"), ("plain", "home_lab")]
+
+
+def test_the_shell_completes_episodes_and_scenes_of_the_dataset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("episodes/ep_000001.zip", "episodes/ep_000012.zip", "scenes/home_00004-0123456789ab.scene.zip"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    root = str(tmp_path)
+    assert complete("show", root, "ep_") == [("plain", "ep_000001"), ("plain", "ep_000012")]
+    assert complete("replay", root, "12") == [("plain", "ep_000012")]
+    monkeypatch.setenv("COMP_WORDS", f"factory jobs list {root} --scene ho")  # as a shell sets it
+    assert complete("jobs", "list", root, "--scene", "home_") == [("plain", "home_00004")]
+    assert ("plain", "home") in complete("jobs", "list", root, "--scene", "ho")
