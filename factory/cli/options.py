@@ -19,6 +19,7 @@ from factory.runs.gate_mode import GATE_ATTEMPTS, MIN_EPISODES_FOR_GATE, MIN_SUC
 from factory.runs.plan_changes import PlanChanges
 from factory.web.http_options import HttpOptions
 from schemas.builtin import BUILTIN_APPEARANCES, BUILTIN_PLAN_NAMES, BUILTIN_RIGS, NO_APPEARANCE
+from schemas.storage.dataset_files import EPISODES, SCENES
 from schemas.storage.place import Place, place_of
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
@@ -131,14 +132,14 @@ def _dataset_of(context: click.Context) -> Path | None:
             return Path(folder)
     # click parses no argument of a line that ends with an option without its value; the shell passes the whole line
     words = shlex.split(os.environ.get("COMP_WORDS", "").replace("'", "").replace('"', ""))
-    return next((Path(word) for word in words if (Path(word) / "scenes").is_dir()), None)
+    return next((Path(word) for word in words if (Path(word) / EPISODES).is_dir()), None)
 
 
 def _scenes_in(root: Path | None) -> set[str]:
     """Returns the scenes of a dataset, and the families of its layouts, from the names of its scene packages."""
     if root is None:
         return set()
-    names = {path.name.removesuffix(".scene.zip").rpartition("-")[0] for path in (root / "scenes").glob("*.scene.zip")}
+    names = {path.name.removesuffix(".scene.zip").rpartition("-")[0] for path in (root / SCENES).glob("*.scene.zip")}
     return names | {family_of(name) for name in names}
 
 
@@ -152,7 +153,7 @@ def _complete_episode(context: click.Context, param: click.Parameter, word: str)
     if root is None:
         return []
     prefix = word if word.startswith("ep_") else f"ep_{word.zfill(6)}" if word.isdigit() else "ep_"
-    names = {path.name.partition(".")[0] for path in (root / "episodes").glob(f"{prefix}*")}
+    names = {path.name.partition(".")[0] for path in (root / EPISODES).glob(f"{prefix}*")}
     return [CompletionItem(name) for name in sorted(names)[:_MOST_COMPLETIONS]]
 
 
