@@ -219,11 +219,40 @@ def test_triangles_without_area_are_imported_without_an_error(tmp_path: Path) ->
     assert np.isfinite(extraction.parts[0].triangles).all()
 
 
-def test_the_error_of_a_compressed_gltf_names_its_extension_and_a_command(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("extension", "verb"),
+    [
+        ("KHR_draco_mesh_compression", "copy"),
+        ("EXT_meshopt_compression", "copy"),
+        ("KHR_texture_basisu", "ktxdecompress"),
+    ],
+)
+def test_the_error_of_a_compressed_gltf_names_its_extension_and_a_command(
+    tmp_path: Path, extension: str, verb: str
+) -> None:
+    # `npx @gltf-transform/cli copy` and `ktxdecompress` were run (4.5.1); the package `gltf-transform` does not exist
     document = gltf_room(tmp_path)
-    document.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
-    with pytest.raises(WorldError, match=r"KHR_draco_mesh_compression, not supported.*gltf-transform copy room\.glb"):
-        extract_scene(write(tmp_path / "room.glb", document.glb()))
+    document.json["extensionsRequired"] = [extension]
+    path = write(tmp_path / "my room.glb", document.glb())
+    with pytest.raises(WorldError) as caught:
+        extract_scene(path)
+    command = f"npx @gltf-transform/cli {verb} '{path}' '{tmp_path}/plain_my room.glb'"
+    assert f"it needs {extension}, not supported; export it without, or: {command}" in str(caught.value)
+
+
+@pytest.mark.parametrize("has_plain", [True, False])
+def test_a_mesh_with_optional_draco_is_read_uncompressed_or_noted_with_a_command(
+    tmp_path: Path, has_plain: bool
+) -> None:
+    document = gltf_room(tmp_path)
+    primitive = document.json["meshes"][0]["primitives"][0]
+    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    if not has_plain:
+        del document.json["accessors"][primitive["attributes"]["POSITION"]]["bufferView"]
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    noted = [note for note in extraction.notes if "npx @gltf-transform/cli copy room.glb plain_room.glb" in note]
+    assert bool(noted) is not has_plain
+    assert any(part.path == "/World/Floor" for part in extraction.parts) is has_plain
 
 
 def test_a_missing_material_library_and_material_are_noted(tmp_path: Path) -> None:
