@@ -297,10 +297,8 @@ def _require_extensions(document: Document) -> None:
     needed = [str(name) for name in document.json.get("extensionsRequired") or ()]
     lacking = [name for name in needed if name not in _SUPPORTED and not name.startswith(_IGNORABLE)]
     if lacking:
-        verb = "ktxdecompress" if _KTX in lacking else "copy"
-        raise ValueError(
-            f"it needs {', '.join(lacking)}, not supported; export it without, or: {_rewrite(document, verb, is_error=True)}"
-        )
+        command = _rewrite(document, "ktxdecompress" if _KTX in lacking else "copy", is_error=True)
+        raise ValueError(f"it needs {', '.join(lacking)}, not supported; export it without, or: {command}")
 
 
 def _rewrite(document: Document, verb: str, is_error: bool = False) -> str:

@@ -16,7 +16,7 @@ from factory.scenes.formats.gltf import read_gltf
 from factory.scenes.formats.meshes import read_ply, read_stl
 from factory.scenes.formats.obj import read_obj
 from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content, solid_piece, to_metres
-from factory.scenes.formats.xml_text import parse_xml, text_of
+from factory.scenes.formats.xml_text import text_of
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons
 from factory.scenes.stage_file import kind_of_file
@@ -152,14 +152,19 @@ def _recoloured(shape: ShapeNode, surface: Surface) -> ShapeNode:
 def model_file(folder: Path, files: SceneFiles) -> Path | None:
     """Returns the SDF file of a Gazebo model folder: the one of the highest version in `model.config`.
 
-    Raises:
-        ValueError: `model.config` is malformed.
+    If `model.config` is malformed or does not exist, returns `model.sdf`, or else the first SDF file of the folder.
     """
     config = folder / "model.config"
+    usual = next((place for place in (folder / "model.sdf", *sorted(folder.glob("*.sdf"))) if place.is_file()), None)
     if not config.is_file():
-        return next((place for place in (folder / "model.sdf", *sorted(folder.glob("*.sdf"))) if place.is_file()), None)
-    root = parse_xml(files.read(config))
-    entries = [(_version(entry.get("version", "0")), (entry.text or "").strip()) for entry in root.iter("sdf")]
+        return usual
+    try:
+        root = files.read_xml(config)
+        entries = [(_version(entry.get("version", "0")), (entry.text or "").strip()) for entry in root.iter("sdf")]
+    except ValueError as error:
+        if usual is not None:
+            files.scene.notes.append(f"{error}; {usual.name} is read")
+        return usual
     return place_of(folder, max(entries)[1]) if entries else folder / (text_of(root, "sdf") or "model.sdf")
 
 

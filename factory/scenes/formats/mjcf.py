@@ -18,7 +18,6 @@ from PIL import Image
 
 from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names, display_colour, mesh_piece, solid_piece
-from factory.scenes.formats.xml_text import parse_xml
 from factory.scenes.importer.collect import Piece
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import box, capsule, cylinder, plane, sphere
@@ -65,7 +64,7 @@ def _collect(path: Path, folder: Path, files: SceneFiles, elements: list[Element
         raise ValueError(f"{path.name} includes itself")
     if len(above) > 50 or len(files.digests) > _MOST_FILES:
         raise ValueError("its includes are nested too deeply")
-    root = parse_xml(files.read(path))
+    root = files.read_xml(path)
     elements += list(root.iter())
     for include in root.iter("include"):
         place = place_of(folder, str(include.get("file") or ""))

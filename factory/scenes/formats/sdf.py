@@ -18,7 +18,7 @@ from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.library import Library, model_file
 from factory.scenes.formats.poses import numbers, pose_matrix, quaternion_matrix
 from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names, display_colour
-from factory.scenes.formats.xml_text import parse_xml, text_of
+from factory.scenes.formats.xml_text import text_of
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, plane, sphere
 from schemas.errors import WorldError
@@ -236,7 +236,7 @@ class _Reader:
 
     def parsed(self, path: Path) -> Element:
         if path not in self.documents:
-            self.documents[path] = parse_xml(self.files.read(path))
+            self.documents[path] = self.files.read_xml(path)
         return self.documents[path]
 
 

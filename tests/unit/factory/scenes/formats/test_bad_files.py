@@ -269,12 +269,76 @@ def test_the_error_of_a_pointer_of_git_lfs_names_the_command_that_downloads_the_
         extract_scene(path)
 
 
-def test_xacro_macros_are_refused_with_the_command_that_expands_them(tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "room.urdf", '<robot xmlns:xacro="http://ros.org/xacro"><xacro:include filename="a"/></robot>'
-    )
-    with pytest.raises(WorldError, match="contains xacro macros; expand them first"):
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "found", "target"),
+    [
+        ("room.urdf", '<xacro:include filename="a"/>', "line 3 contains <xacro:include>", "room_expanded.urdf"),
+        ("room.urdf", '<link name="${side}"/>', r"line 3 contains the xacro expression \${side}", "room_expanded.urdf"),
+        ("room.urdf", '<link name="$(arg side)"/>', "line 3 contains the xacro expression", "room_expanded.urdf"),
+        ("my room.urdf.xacro", '<xacro:box n="a"/>', "line 3 contains <xacro:box>", "'.*/my room.urdf'"),
+        ("room.xacro", '<xacro:box n="a"/>', "line 3 contains <xacro:box>", "room.urdf"),
+    ],
+)
+def test_xacro_macros_are_refused_with_a_command_that_writes_another_file(
+    tmp_path: Path, name: str, line: str, found: str, target: str
+) -> None:
+    # `xacro FILE -o OTHER` was run (2.1); `xacro FILE > FILE` empties the file
+    path = write(tmp_path / name, f"<robot {XACRO}>\n<!-- ${{a}} <xacro:b/> -->\n{line}</robot>")
+    with pytest.raises(WorldError, match=f"{found}.*; expand it first: xacro .*{name}'? -o .*{target}"):
         extract_scene(path)
+
+
+@pytest.mark.parametrize("declared", [XACRO, ""])
+def test_elements_of_xacro_that_are_left_in_a_link_are_ignored_with_a_note(tmp_path: Path, declared: str) -> None:
+    text = urdf_room('\n<link name="extra"><xacro:box_inertial x="1"/><sensor:ray/></link>')
+    path = write(tmp_path / "room.urdf", text.replace("<robot", f"<robot {declared}"))
+    extraction = extract_scene(path)
+    assert any(re.fullmatch(r"line \d+: <xacro:box_inertial> is not expanded, ignored", n) for n in extraction.notes)
+    assert any("prefixes without declaration" in note and "sensor" in note for note in extraction.notes)
+    assert len(extraction.parts) == len(extract_scene(write_room(tmp_path, ".urdf")).parts)
+
+
+@pytest.mark.parametrize("root", ["model.config", "model.sdf", "room.sdf"])
+def test_a_bare_ampersand_is_read_as_text_with_a_note_that_names_the_file(tmp_path: Path, root: str) -> None:
+    config = '<model><name>a</name><sdf version="1.6">model.sdf</sdf></model>'
+    texts = {"model.config": config, "model.sdf": crate(), "room.sdf": sdf_room(include("model://crate"))}
+    more = "<description>crate & lid &amp; &#38; &lid;<![CDATA[a & b]]></description></"
+    texts[root] = more.join(texts[root].rsplit("</", 1))
+    for name, text in texts.items():
+        write(tmp_path / name if name == "room.sdf" else folder_of(tmp_path, "models/crate") / name, text)
+    extraction = extract_scene(tmp_path / "room.sdf")
+    place = root if root == "room.sdf" else f"models/crate/{root}"
+    assert f"{place}: 2 bare & read as text" in extraction.notes
+    assert any("/crate/" in part.path for part in extraction.parts)
+
+
+def test_a_malformed_model_config_is_named_and_the_model_is_read_from_its_usual_file(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "models/crate")
+    write(folder / "model.config", "<model><sdf>")
+    path = write(tmp_path / "room.sdf", sdf_room(include("model://crate")))
+    with pytest.raises(WorldError, match=r"folders without an SDF file.*models/crate"):
+        extract_scene(path)
+    write(folder / "model.sdf", crate())
+    extraction = extract_scene(path)
+    (note,) = [note for note in extraction.notes if "not valid XML" in note]
+    assert note.startswith("models/crate/model.config: it is not valid XML")
+    assert note.endswith("model.sdf is read")
+    assert any("/crate/" in part.path for part in extraction.parts)
+    write(folder / "model.sdf", "<sdf>")
+    assert any("models/crate/model.sdf: it is not valid XML" in note for note in extract_scene(path).notes)
+
+
+def folder_of(folder: Path, name: str) -> Path:
+    (folder / name).mkdir(parents=True, exist_ok=True)
+    return folder / name
+
+
+def crate() -> str:
+    visual = "<visual name='v'><geometry><box><size>1 1 1</size></box></geometry></visual>"
+    return f"<sdf version='1.6'><model name='crate'><link name='l'>{visual}</link></model></sdf>"
 
 
 def test_a_loop_of_nodes_or_joints_is_refused(tmp_path: Path) -> None:
