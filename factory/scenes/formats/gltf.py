@@ -405,7 +405,11 @@ def _piece(reader: _Reader, path: str, primitive: dict[str, Any], mode: int) -> 
         reader.note(f"{path}: textured but without texture coordinates, shown in one colour")
     tints = None
     if "COLOR_0" in attributes and not surface.texture:
-        tints = document.accessor(int(attributes["COLOR_0"]))[corners][..., :3] * np.array(surface.colour)
+        colours = document.accessor(int(attributes["COLOR_0"]))
+        if len(colours) > corners.max(initial=-1):
+            tints = colours[corners][..., :3] * np.array(surface.colour)
+        else:
+            reader.note(f"{path}: {len(colours)} vertex colours for {len(points)} vertices, ignored")
     piece = Piece(piece.triangles, uvs, tints, surface)
     return piece.both_sides() if is_two_sided else piece
 
@@ -413,7 +417,10 @@ def _piece(reader: _Reader, path: str, primitive: dict[str, Any], mode: int) -> 
 def _uvs(document: Document, attributes: dict[str, Any], surface: Surface, corners: Ints) -> Floats | None:
     if surface.uv_set not in attributes or surface.uv_affine is None:
         return None
-    values = document.accessor(int(attributes[surface.uv_set])).astype(np.float64)[corners][..., :2]
+    every = document.accessor(int(attributes[surface.uv_set])).astype(np.float64)
+    if len(every) <= corners.max(initial=-1):
+        return None
+    values = every[corners][..., :2]
     rows = np.array(surface.uv_affine).reshape(2, 3)
     return np.asarray(values @ rows[:, :2].T + rows[:, 2])
 

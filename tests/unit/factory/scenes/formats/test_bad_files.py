@@ -22,6 +22,7 @@ from tests.builders.formats import (
     dae_room,
     gltf_room,
     mjcf_room,
+    picture,
     sdf_room,
     stl_room,
     urdf_room,
@@ -349,3 +350,74 @@ def test_a_loop_of_nodes_or_joints_is_refused(tmp_path: Path) -> None:
     joint = '<joint name="j" type="fixed"><parent link="SM_Chair_01"/><child link="base"/></joint>'
     with pytest.raises(WorldError, match="joints form a loop"):
         extract_scene(write(tmp_path / "loop.urdf", urdf_room(joint)))
+
+
+SQUARES_OBJ = """o Floor
+v -3 -3 0
+v 3 -3 0
+v 3 3 0
+v -3 3 0
+usemtl print
+f 1/1 2/1 3/1 4/1
+"""
+
+
+@pytest.mark.parametrize(
+    ("uvs", "note"),
+    [
+        ("", "texture coordinates 1 to 1 are used, but there are 0; shown without texture"),
+        ("vt 0 0\nf 1/7 2/1 3/1", "texture coordinates 1 to 7 are used, but there are 1; shown without texture"),
+        ("vt 0 0\nf 1 2 3", "textured, but some faces are without texture coordinates; shown in one colour"),
+    ],
+)
+def test_an_object_with_absent_texture_coordinates_is_drawn_without_texture_with_a_note(
+    tmp_path: Path, uvs: str, note: str
+) -> None:
+    picture(tmp_path)
+    write(tmp_path / "a.mtl", "newmtl print\nKd 0.1 0.8 0.1\nmap_Kd tiles.png\n")
+    path = write(tmp_path / "room.obj", f"mtllib a.mtl\n{SQUARES_OBJ}{uvs}\n")
+    extraction = extract_scene(path, METRES)
+    assert extraction.notes == (f"room.obj: object Floor: {note}",)
+    (part,) = extraction.parts
+    assert part.uvs is None
+    assert part.triangles[..., 2].max() == 0
+
+
+def test_texture_coordinates_and_colours_that_are_too_few_in_gltf_are_noted(tmp_path: Path) -> None:
+    document = gltf_room(tmp_path)
+    count = 0
+    for mesh in document.json["meshes"]:
+        for primitive in mesh["primitives"]:
+            attributes = primitive["attributes"]
+            attributes["COLOR_0"] = document.accessor([(1.0, 0, 0)], "VEC3", "f")
+            if "TEXCOORD_0" in attributes:
+                count += 1
+                attributes["TEXCOORD_0"] = document.accessor([(0.0, 0.0)], "VEC2", "f")
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    assert len(extraction.parts) == len(ROOM) + 2
+    assert sum("textured but without texture coordinates" in note for note in extraction.notes) == count > 0
+    assert any("1 vertex colours for" in note for note in extraction.notes)
+
+
+@pytest.mark.parametrize(("semantic", "params"), [("TEXCOORD", "ST"), ("NORMAL", "XYZ")])
+def test_a_mesh_of_collada_with_too_few_texture_coordinates_or_normals_is_kept(
+    tmp_path: Path, semantic: str, params: str
+) -> None:
+    names = "".join(f'<param name="{name}" type="float"/>' for name in params)
+    source = f"""<source id="u"><float_array id="ua" count="{len(params)}">{"0 " * len(params)}</float_array>
+        <technique_common><accessor source="#ua" count="1" stride="{len(params)}">{names}</accessor></technique_common>
+        </source><vertices"""
+    room, counts = dae_room(tmp_path).replace("<vertices", source, 1), "<vcount>4 4 4 4 4 4 </vcount>"
+    text = room.replace(counts, f'<input semantic="{semantic}" source="#u" offset="0" set="0"/>{counts}', 1)
+    assert text != room
+    extraction = extract_scene(write(tmp_path / "room.dae", text))
+    assert len(extraction.parts) == len(ROOM)
+    noted = f"room.dae {ROOM[0].name}-g: texture coordinates 0 to 7 are used, but there are 1; shown without texture"
+    assert extraction.notes == ((noted,) if semantic == "TEXCOORD" else ())
+
+
+def test_a_part_of_collada_that_cannot_be_read_is_noted(tmp_path: Path) -> None:
+    text = dae_room(tmp_path).replace(f'<instance_geometry url="#{ROOM[0].name}-g"', '<instance_geometry url="#absent"')
+    extraction = extract_scene(write(tmp_path / "room.dae", text))
+    assert len(extraction.parts) == len(ROOM) - 1
+    assert any(note.startswith("room.dae: ") and "absent" in note for note in extraction.notes)
