@@ -77,8 +77,8 @@ def find_terrain(shown: ShownScene, solid: Floats, floor_m: float, notes: list[s
     if best:
         used, largest = free_area_m2(terrains[best]), free_area_m2(terrains[0])
         notes.append(
-            f"the floor of {used} m2 that reaches {reached[best]} of {len(targets)} objects is used, not the largest of "
-            f"{largest} m2, which reaches {reached[0]}"
+            f"the floor of {used} m2 that reaches {reached[best]} of {len(targets)} objects is used, not the largest "
+            f"of {largest} m2, which reaches {reached[0]}"
         )
     return terrains[best]
 

@@ -24,7 +24,7 @@ from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.poses import quaternion_matrix
 from factory.scenes.formats.shapes import BROKEN, Content, Names, ShapeNode, label_of, mesh_piece
 from factory.scenes.importer.collect import Piece
-from factory.scenes.importer.content import Affine, Colour, Surface
+from factory.scenes.importer.content import SOLID_NOTE, Affine, Colour, Surface
 from schemas.support.numpy_types import Floats, Ints
 from schemas.support.shell import quoted
 
@@ -200,6 +200,8 @@ def read_surface(document: Document, index: int | None, user: str) -> tuple[Surf
     texture = base.get("diffuseTexture" if glossy else "baseColorTexture")
     if texture is not None:
         surface = _textured(document, surface, texture, user)
+    if surface.texture and material.get("alphaMode") == "MASK":
+        document.files.scene.notes.append(f"material {surface.name or index}: {SOLID_NOTE}")
     return surface, bool(material.get("doubleSided", False))
 
 

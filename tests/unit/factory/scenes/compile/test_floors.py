@@ -47,7 +47,7 @@ def test_the_inside_of_a_closed_house_is_its_floor_although_the_garden_is_larger
     info = info_of(import_scene(house(tmp_path, INSIDE), "house", tmp_path / "cache"))
     assert [target.category for target in info.targets] == ["cabinet", "table"]
     assert 60 < info.free_area_m2 < 100
-    assert any("reaches 2 of 2 objects is used, not the largest of" in note for note in info.notes)
+    assert any("reaches 2 of 2 objects is used, not the largest" in note for note in info.notes)
 
 
 def test_the_larger_floor_is_used_if_it_reaches_as_many_objects(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def test_the_error_of_a_robot_file_without_a_floor_names_the_option_that_adds_a_
     path = write(tmp_path / "room.urdf", rest)
     with pytest.raises(WorldError, match=r"--floor M"):
         import_scene(path, "room", tmp_path / "cache")
-    assert not (tmp_path / "cache").exists()
+    assert [file.name for file in (tmp_path / "cache").iterdir()] == ["room.map.png"]
     with import_scene(path, "room", tmp_path / "cache", limits=StageLimits(floor_m=0.0)).open("rb") as file:
         scene = decode_scene(file)
     assert scene.info.floor_height_m == pytest.approx(0.0, abs=1e-6)
@@ -421,3 +421,12 @@ def test_a_part_of_collada_that_cannot_be_read_is_noted(tmp_path: Path) -> None:
     extraction = extract_scene(write(tmp_path / "room.dae", text))
     assert len(extraction.parts) == len(ROOM) - 1
     assert any(note.startswith("room.dae: ") and "absent" in note for note in extraction.notes)
+
+
+@pytest.mark.parametrize("mode", ["MASK", "OPAQUE", "BLEND"])
+def test_a_texture_of_gltf_that_cuts_holes_is_noted(tmp_path: Path, mode: str) -> None:
+    document = gltf_room(tmp_path)
+    for material in document.json["materials"]:
+        material["alphaMode"] = mode
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    assert any("cuts holes by alpha" in note for note in extraction.notes) is (mode == "MASK")
