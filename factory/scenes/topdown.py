@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from schemas.scene import CompiledScene, Target
+from schemas.support.numpy_types import Bools
 from workers.geometry.grid import DISC_RADIUS_M
 
 if TYPE_CHECKING:
@@ -26,13 +27,13 @@ _SPAWN = (40, 140, 60)
 
 
 @dataclass(frozen=True)
-class FloorMap:
+class MapContent:
     """Content of a map."""
 
     name: str
     occupancy: NDArray[np.uint8]
     """(H, W) as in `CompiledScene`."""
-    reachable: NDArray[np.generic]
+    reachable: NDArray[np.uint8] | Bools
     """(H, W) non-zero on the connected floor."""
     origin_m: tuple[float, float]
     resolution_m: float
@@ -41,7 +42,7 @@ class FloorMap:
     """(S, 2) metres."""
 
     @classmethod
-    def of_scene(cls, scene: CompiledScene) -> FloorMap:
+    def of_scene(cls, scene: CompiledScene) -> MapContent:
         info = scene.info
         return cls(
             name=info.name,
@@ -56,7 +57,7 @@ class FloorMap:
     @classmethod
     def of_terrain(
         cls, name: str, terrain: Terrain, spawns: NDArray[np.float32], targets: Sequence[Target]
-    ) -> FloorMap:
+    ) -> MapContent:
         """Returns the map of a scene that is not compiled, with its candidates as targets."""
         grid = terrain.grid
         return cls(
@@ -72,10 +73,10 @@ class FloorMap:
 
 def draw_topdown(scene: CompiledScene, pixels_per_cell: int = 4) -> NDArray[np.uint8]:
     """Returns the map of a compiled scene; see `draw_map`."""
-    return draw_map(FloorMap.of_scene(scene), pixels_per_cell)
+    return draw_map(MapContent.of_scene(scene), pixels_per_cell)
 
 
-def draw_map(scene: FloorMap, pixels_per_cell: int = 4) -> NDArray[np.uint8]:
+def draw_map(scene: MapContent, pixels_per_cell: int = 4) -> NDArray[np.uint8]:
     """Returns an RGB image (rows, columns, 3); north (y) is up.
 
     Args:
@@ -105,11 +106,11 @@ def category_colour(category: str, categories: list[str]) -> tuple[int, int, int
     return round(red * 255), round(green * 255), round(blue * 255)
 
 
-def _categories(scene: FloorMap) -> list[str]:
+def _categories(scene: MapContent) -> list[str]:
     return sorted({target.category for target in scene.targets})
 
 
-def _draw_targets(pen: ImageDraw.ImageDraw, scene: FloorMap, origin: NDArray[np.float64], scale: float) -> None:
+def _draw_targets(pen: ImageDraw.ImageDraw, scene: MapContent, origin: NDArray[np.float64], scale: float) -> None:
     categories = _categories(scene)
     for target in scene.targets:
         middle = (np.asarray(target.centroid_m[:2]) - origin) * scale
@@ -119,7 +120,7 @@ def _draw_targets(pen: ImageDraw.ImageDraw, scene: FloorMap, origin: NDArray[np.
         pen.ellipse((*(middle - 3), *(middle + 3)), fill=colour)
 
 
-def _draw_legend(image: Image.Image, scene: FloorMap) -> None:
+def _draw_legend(image: Image.Image, scene: MapContent) -> None:
     """Flips the image to north up, then draws the category names."""
     image.paste(image.transpose(Image.Transpose.FLIP_TOP_BOTTOM))
     pen = ImageDraw.Draw(image)
@@ -131,10 +132,10 @@ def _draw_legend(image: Image.Image, scene: FloorMap) -> None:
 
 def encode_topdown(scene: CompiledScene) -> bytes:
     """Returns the map encoded as PNG."""
-    return encode_map(FloorMap.of_scene(scene))
+    return encode_map(MapContent.of_scene(scene))
 
 
-def encode_map(scene: FloorMap) -> bytes:
+def encode_map(scene: MapContent) -> bytes:
     """Returns a map encoded as PNG."""
     buffer = io.BytesIO()
     Image.fromarray(draw_map(scene)).save(buffer, "PNG")

@@ -21,7 +21,7 @@ from factory.scenes.navigation.reach import Terrain, count_reachable, sees_matri
 from factory.scenes.survey.spawn_survey import MIN_SPAWNS, survey_spawns
 from factory.scenes.targets.candidates import Candidate, footprint_of
 from factory.scenes.targets.target_edits import apply_target_edits, recoloured
-from factory.scenes.topdown import FloorMap, encode_map
+from factory.scenes.topdown import MapContent, encode_map
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.scene import Target
@@ -112,7 +112,7 @@ def find_reachable(file: str, terrain: Terrain, shown: ShownScene, floor_m: floa
     )
     targets = apply_target_edits(listed, shown.chosen)
     if not targets:
-        shown_map = FloorMap.of_terrain(file, terrain, spawns, [target for target, _ in _candidates_of(shown)])
+        shown_map = MapContent.of_terrain(file, terrain, spawns, [target for target, _ in _candidates_of(shown)])
         raise UnreachableTargets(_why_no_target(file, shown, terrain, notes), encode_map(shown_map))
     named = with_colours(targets, shown.parts, owners=shown.owners, book=shown.book, uncoloured=shown.uncoloured)
     targets = recoloured(named, shown.chosen)

@@ -111,7 +111,7 @@ def take_warnings(listener: Any, ignored: str | None = None) -> list[str]:
 
     Args:
         listener: delegate; it is emptied.
-        ignored: word of warnings to leave out.
+        ignored: word of warnings to omit.
     """
     texts = (text_of(partial(getattr, one, "commentary")) for one in listener.TakeUncoalescedDiagnostics())
     # USD's threads emit warnings in any order
