@@ -22,6 +22,7 @@ from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION, IMPORT_VERSION, MATERIALS_VERSION
 from schemas.errors import InvalidBundle, LayoutError, UsageError, WorldError
 from schemas.scene import LAYOUT_FORMAT, SCENE_FORMAT, CompiledScene, encode_layout, encode_scene
+from schemas.scene.compiled import require_valid
 from schemas.scene.files import faulty_textures
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
@@ -194,6 +195,7 @@ def import_scene(
         UsageError: the file does not exist or has a different format, the name is not valid, or `targets` names
             prims that the scene does not have.
         WorldError: the stage cannot be compiled; the message states the reason.
+        InvalidBundle: the compiled scene is not valid; nothing is written.
     """
     require_stage(path)
     if not _NAME.fullmatch(name):
@@ -209,11 +211,17 @@ def import_scene(
         return known
     # imported here, because most runs find their scenes in the cache
     from factory.scenes.compile.compiler import compile_extraction
+    from factory.scenes.compile.listing import UnreachableTargets
 
     tell()
-    data = encode_scene(
-        compile_extraction(path.name, extraction, name=name, source=path.name, rules=rules, chosen=targets)
-    )
+    try:
+        scene = compile_extraction(path.name, extraction, name=name, source=path.name, rules=rules, chosen=targets)
+    except UnreachableTargets as error:
+        picture = cache / f"{name}.map.png"
+        write_whole(picture, error.map_png)
+        raise WorldError(f"{error}; map of the floor and the objects: {picture}") from error
+    require_valid(scene)  # a package that no reader accepts would stay in the cache
+    data = encode_scene(scene)
     package = cache / package_name(name, hashlib.sha256(data).hexdigest())
     write_whole(package, data)
     remember_package(cache, name, made_from, package)

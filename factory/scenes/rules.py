@@ -41,6 +41,18 @@ Pattern = Annotated[str, AfterValidator(_compiles)]
 Colour = Annotated[str, AfterValidator(_is_colour)]
 
 
+_FURNITURE = (
+    "cup_?board|cabinet|wardrobe|closet|dresser|drawer|shelf|book_?case|kitchen|fridge|oven|table|desk|bed|sofa|stair"
+)
+_OTHER_THINGS = {
+    # in code and not in the table, whose text is part of the digest of every package
+    "whiteboard": re.compile(rf"(?:^|_)(?:{_FURNITURE})s?_(?:\w+_)?board"),
+    "cabinet": re.compile(r"(?:^|_)(?:cup_?board|cabinet)s?_(?:left|right|top|bottom|back)_(?:board|panel)"),
+    "bench": re.compile(r"(?:^|_)(?:cooking|cook|hob|test|tool|optical|lab)_?bench"),
+}
+"""Names of other things that contain the word of a category: a board of a cupboard, and a bench with a hob."""
+
+
 class CategoryRule(Model):
     """Rule that assigns a category to prims by name, size, shape and colour."""
 
@@ -84,7 +96,10 @@ class CategoryRule(Model):
 
     def names(self, words: str) -> bool:
         """Returns whether the patterns of the rule match a split name."""
-        return bool(self._included.search(words)) and not (self._excluded and self._excluded.search(words))
+        other = _OTHER_THINGS.get(self.category)
+        if (self._excluded and self._excluded.search(words)) or (other and other.search(words)):
+            return False
+        return bool(self._included.search(words))
 
 
 class RuleBook(Model):

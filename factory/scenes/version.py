@@ -2,7 +2,8 @@
 
 COMPILER_VERSION = 11
 """Incremented when the same stage compiles to different bytes."""
-IMPORT_VERSION = 2
-"""Incremented when imports in a cache must be compiled again. In version 1, the cache key ignored --unit and --up."""
+IMPORT_VERSION = 3
+"""Incremented when imports in a cache must be compiled again. In version 1, the cache key ignored --unit and --up;
+in version 2, readers dropped objects that version 3 keeps."""
 MATERIALS_VERSION = 1
 """Incremented when the recorded materials of the same stage change; the paper's layouts record none."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.encoding.arrays import ArraySpec
+from schemas.errors import InvalidBundle
 from schemas.scene.info import MAX_LIGHT_MAP_PX, TEXTURE_SIZE_PX, SceneInfo
 
 Layer = NDArray[np.uint8]
@@ -103,3 +104,14 @@ def contradictions(scene: CompiledScene) -> list[str]:
         == (len(scene.spawns), len(scene.info.targets)),
     }
     return [f"condition not met: {claim}" for claim, holds in checks.items() if not holds]
+
+
+def require_valid(scene: CompiledScene) -> None:
+    """Checks the arrays of a scene as the readers of its package do; textures are not checked.
+
+    Raises:
+        InvalidBundle: an array violates its spec, or contradicts another.
+    """
+    findings = [fault for name, spec in SCENE_ARRAYS.items() for fault in spec.violations(getattr(scene, name))]
+    if findings or (findings := contradictions(scene)):
+        raise InvalidBundle("scene refused", findings)

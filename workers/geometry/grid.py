@@ -197,6 +197,23 @@ class Grid:
         return floor
 
 
+def separate_floors(grid: Grid, least_m2: float, most: int) -> list[Bools]:
+    """Returns the connected floors (H, W) of a grid, the largest first; without any floor, one empty mask.
+
+    Args:
+        grid: occupancy grid.
+        least_m2: minimum area of a floor, square metres; the largest may be smaller.
+        most: maximum number of floors.
+    """
+    parts, count = scipy.ndimage.label(grid.clearance >= CONNECT_CLEARANCE_M, structure=np.ones((3, 3)))
+    if count == 0:
+        return [np.zeros(grid.occupancy.shape, bool)]
+    sizes = np.bincount(parts.ravel())[1:]
+    order = np.argsort(-sizes, kind="stable")[:most]
+    rest = [row for row in order[1:] if sizes[row] * grid.resolution_m**2 >= least_m2]
+    return [np.asarray(parts == row + 1) for row in (order[0], *rest)]
+
+
 def are_within(points: Floats, boxes: Floats) -> Bools:
     """Returns whether each of the points (N, 2) is inside any of the rectangles (K, 2, 2), lower and upper corner."""
     inside = np.ones((len(boxes), len(points)), bool)

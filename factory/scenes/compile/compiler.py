@@ -18,6 +18,7 @@ from factory.scenes.compile.geometry import Geometry, lay_out_geometry
 from factory.scenes.compile.listing import Reachable, find_reachable, find_terrain, free_area_m2
 from factory.scenes.compile.objects import instances_of, show_parts
 from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
+from factory.scenes.compile.surfaces import triangle_areas
 from factory.scenes.compile.textures import DrawFunction, TextureBook
 from factory.scenes.importer import Extraction, Part
 from factory.scenes.light import USUAL_DETAIL, LightDetail
@@ -39,6 +40,7 @@ distance."""
 # in a site with evenly distributed parts, no part is farther than twice the median distance, so large sites keep their
 # outskirts. A test omits a book 344 km above its room
 _FARTHEST_M = 9000.0
+_NO_AREA_M2 = 1e-14
 _MAX_NOTES = 200
 
 
@@ -116,7 +118,7 @@ def compile_extraction(
         floor_m = find_floor_height(shown.triangles())
         colliders = [part for part in parts if part.is_collider]
         solid = solid_triangles([part for part in parts if not part.is_collider], colliders, floor_m)
-        terrain = find_terrain(shown, solid, floor_m)
+        terrain = find_terrain(shown, solid, floor_m, notes)
     survey = find_reachable(file, terrain, shown=shown, floor_m=floor_m, notes=notes)
     _require_categories(required, survey)
     geometry = lay_out_geometry(
@@ -149,6 +151,7 @@ def _require_categories(required: Collection[str], survey: Reachable) -> None:
 def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tuple[Part, ...]:
     """Drops parts that are implausibly far from the others, because they would inflate the bounds and the grid."""
     parts = [part for part in extraction.parts if len(part.triangles)]
+    parts = _with_area(parts, notes)
     if not any(not part.is_collider for part in parts):
         noted = "; ".join(extraction.notes[-4:])
         raise WorldError(
@@ -168,6 +171,14 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
             notes.append(f"{part.path}: omitted, {distance:.0f} m away from everything else")
     kept = [part for part, distance in zip(parts, off, strict=True) if distance <= limit]
     return tuple(sorted(kept, key=lambda part: part.path))
+
+
+def _with_area(parts: list[Part], notes: list[str]) -> list[Part]:
+    """Drops parts of which no triangle has an area, with a note."""
+    flat = [part for part in parts if triangle_areas(part.triangles).max() <= _NO_AREA_M2]
+    notes += [f"{part.path}: ignored, its {len(part.triangles)} faces have no area" for part in flat]
+    empty = {id(part) for part in flat}
+    return [part for part in parts if id(part) not in empty]
 
 
 @contextmanager

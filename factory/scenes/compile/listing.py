@@ -17,16 +17,17 @@ from factory.scenes.compile.surfaces import target_colour
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.navigation.occupancy import build_occupancy
-from factory.scenes.navigation.reach import Terrain, sees_matrix, tiers_of
+from factory.scenes.navigation.reach import Terrain, count_reachable, sees_matrix, tiers_of
 from factory.scenes.survey.spawn_survey import MIN_SPAWNS, survey_spawns
 from factory.scenes.targets.candidates import Candidate, footprint_of
 from factory.scenes.targets.target_edits import apply_target_edits, recoloured
+from factory.scenes.topdown import MapContent, encode_map
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.scene import Target
 from schemas.support.numpy_types import Floats
 from schemas.terms import SuccessMeasure, Tier
-from workers.geometry.grid import Grid
+from workers.geometry.grid import Grid, separate_floors
 
 
 @dataclass(frozen=True)
@@ -38,20 +39,48 @@ class Reachable:
     sees: NDArray[np.uint8]
 
 
-def find_terrain(shown: ShownScene, solid: Floats, floor_m: float) -> Terrain:
-    """Returns the floor that the robot can use.
+class UnreachableTargets(WorldError):
+    """No target is reachable; contains a map that shows where they are."""
+
+    def __init__(self, message: str, map_png: bytes = b"") -> None:  # the default keeps the error picklable
+        super().__init__(message)
+        self.map_png = map_png
+
+
+_LEAST_FLOOR_M2, _MOST_FLOORS = 2.0, 8
+
+
+def find_terrain(shown: ShownScene, solid: Floats, floor_m: float, notes: list[str]) -> Terrain:
+    """Returns the floor that the robot can use: of the separate floors, the one that reaches most candidates.
 
     Args:
         shown: objects of the scene.
         solid: triangles (T, 3, 3) that the robot can touch, metres.
         floor_m: height of the floor, metres.
+        notes: receives a note if another floor is larger.
 
     Raises:
         WorldError: the grid would be too large, or there is no floor.
     """
     frame, occupancy = build_occupancy(solid, shown.triangles(), floor_m)
     grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
-    return Terrain(grid, grid.connected_floor(), SpawnConfig(), _taken(shown.candidates, floor_m))
+    taken = _taken(shown.candidates, floor_m)
+    # the largest floor may be the ground around a closed house
+    terrains = [
+        Terrain(grid, floor, SpawnConfig(), taken) for floor in separate_floors(grid, _LEAST_FLOOR_M2, _MOST_FLOORS)
+    ]
+    if len(terrains) == 1 or not shown.candidates:
+        return terrains[0]
+    targets = [target for target, _ in _candidates_of(shown)]
+    reached = [count_reachable(terrain, targets) for terrain in terrains]
+    best = reached.index(max(reached))
+    if best:
+        used, largest = free_area_m2(terrains[best]), free_area_m2(terrains[0])
+        notes.append(
+            f"the floor of {used} m2 that reaches {reached[best]} of {len(targets)} objects is used, not the largest "
+            f"of {largest} m2, which reaches {reached[0]}"
+        )
+    return terrains[best]
 
 
 def _taken(candidates: Sequence[Candidate], floor_m: float) -> Floats:
@@ -72,7 +101,7 @@ def find_reachable(file: str, terrain: Terrain, shown: ShownScene, floor_m: floa
         notes: notes of the compilation, to which this function adds.
 
     Raises:
-        WorldError: no target is reachable.
+        UnreachableTargets: no target is reachable.
     """
     spawns = survey_spawns(terrain)
     if len(spawns) < MIN_SPAWNS:
@@ -83,7 +112,8 @@ def find_reachable(file: str, terrain: Terrain, shown: ShownScene, floor_m: floa
     )
     targets = apply_target_edits(listed, shown.chosen)
     if not targets:
-        raise WorldError(_why_no_target(file, shown, terrain, notes))
+        shown_map = MapContent.of_terrain(file, terrain, spawns, [target for target, _ in _candidates_of(shown)])
+        raise UnreachableTargets(_why_no_target(file, shown, terrain, notes), encode_map(shown_map))
     named = with_colours(targets, shown.parts, owners=shown.owners, book=shown.book, uncoloured=shown.uncoloured)
     targets = recoloured(named, shown.chosen)
     return Reachable(targets, spawns, sees_matrix(terrain, points, targets, TaskConfig()))
@@ -151,6 +181,10 @@ def list_targets(
         else:
             targets.append(_with_tiers(target, centroid or ((), ()), surface or ((), ())))
     return tuple(targets)
+
+
+def _candidates_of(shown: ShownScene) -> list[tuple[Target, float]]:
+    return _named_targets(shown.candidates, shown.ids, shown.shapes())
 
 
 def _named_targets(

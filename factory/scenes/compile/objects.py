@@ -15,7 +15,7 @@ from factory.scenes.compile.surfaces import materials_of, target_colour, triangl
 from factory.scenes.compile.textures import DrawFunction, TextureBook, load_textures
 from factory.scenes.importer import Extraction, Part, TextureRecipe
 from factory.scenes.rules import RuleBook
-from factory.scenes.targets.candidates import Candidate, find_candidates
+from factory.scenes.targets.candidates import Candidate, find_candidates, find_copies
 from factory.scenes.targets.target_edits import apply_candidate_edits
 from factory.scenes.targets.target_list import TargetList
 from schemas.errors import WorldError
@@ -128,6 +128,7 @@ def show_parts(
     )
     candidates = apply_candidate_edits(found_candidates, visible, chosen)
     owners = assign_objects(visible, [candidate.path for candidate in candidates], extraction.models)
+    candidates, owners = _joined(candidates, owners, chosen, notes)
     ids = number_objects(owners)
     return ShownScene(
         visible,
@@ -139,6 +140,20 @@ def show_parts(
         uncoloured=rules.uncoloured,
         has_materials=has_materials,
     )
+
+
+def _joined(
+    candidates: tuple[Candidate, ...], owners: tuple[str, ...], chosen: TargetList | None, notes: list[str]
+) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
+    """Returns the candidates and owners, with one object for several that are drawn at one place.
+
+    Candidates that the user's list names remain separate.
+    """
+    listed = set() if chosen is None else {entry.prim_path for entry in chosen.targets}
+    copies = find_copies([candidate for candidate in candidates if candidate.path not in listed])
+    notes += [f"{copy}: drawn at the place of {first}, one object" for copy, first in copies.items()]
+    kept = tuple(candidate for candidate in candidates if candidate.path not in copies)
+    return kept, tuple(copies.get(owner, owner) for owner in owners)
 
 
 def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | None:

@@ -9,7 +9,8 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import tostring
 
 import collada
 import numpy as np
@@ -22,6 +23,11 @@ from factory.scenes.importer.content import Surface
 from factory.scenes.importer.polygons import triangulate
 from schemas.support.numpy_types import Floats, Ints
 
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+_SPACE = "{*}"
+_OPTIONAL = ("NORMAL", "TEXCOORD", "TEXTANGENT", "TEXBINORMAL")
 _UP = {"X_UP": None, "Y_UP": "y", "Z_UP": "z"}
 _DEEPEST = 200
 
@@ -48,11 +54,14 @@ def read_collada(data: bytes, path: Path, files: SceneFiles) -> Content:
         ValueError: the file is not valid, or contains XML entities.
         WorldError: the file has too many triangles.
     """
-    parse_xml(data)  # pycollada's parser expands entities
-    try:
-        document = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
-    except collada.common.DaeError as error:
-        raise ValueError(f"{error}") from error
+    root = parse_xml(data)  # pycollada's parser expands entities
+    document = _parsed(data)
+    if any(isinstance(error, collada.common.DaeMalformedError) for error in document.errors):
+        # pycollada drops a mesh whose normals or texture coordinates have a bad index, and gives no warning
+        files.scene.notes += [f"{path.name} {note}" for note in _drop_bad_inputs(root)]
+        document = _parsed(tostring(root))
+    lost = (error for error in document.errors if not isinstance(error, collada.common.DaeUnsupportedError))
+    files.scene.notes += [f"{path.name}: {' '.join(str(error).split())[:300]}" for error in lost]
     unit = document.assetInfo.unitmeter
     content = Content(
         metres_per_unit=1.0 if unit is None else float(unit), up=_UP.get(str(document.assetInfo.upaxis), "y")
@@ -61,6 +70,38 @@ def read_collada(data: bytes, path: Path, files: SceneFiles) -> Content:
     for node in [] if document.scene is None else document.scene.nodes:
         _visit(reader, node, "", np.eye(4), 0)
     return content
+
+
+def _parsed(data: bytes) -> Any:
+    try:
+        return collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
+    except collada.common.DaeError as error:
+        raise ValueError(f"{error}") from error
+
+
+def _drop_bad_inputs(root: Element) -> Iterator[str]:
+    """Marks the inputs of meshes that have an index beyond the end of their source as unused.
+
+    Yields a note for each input of texture coordinates. Normals are not read, so they need no note.
+    """
+    counts = {
+        source.get("id"): int(accessor.get("count") or 0)
+        for source in root.findall(f".//{_SPACE}source")
+        for accessor in source.findall(f".//{_SPACE}accessor")
+    }
+    for geometry in root.findall(f".//{_SPACE}geometry"):
+        for primitive in geometry.iter():
+            inputs = primitive.findall(f"{_SPACE}input")
+            texts = [text.text or "" for text in primitive.findall(f"{_SPACE}p")]
+            rows = np.array(" ".join(texts).split(), np.int64)
+            stride = 1 + max((int(each.get("offset") or 0) for each in inputs), default=0)
+            for each in inputs if len(rows) and len(rows) % stride == 0 else ():
+                column, count = rows[int(each.get("offset") or 0) :: stride], counts.get(str(each.get("source"))[1:])
+                if each.get("semantic") in _OPTIONAL and count is not None and column.max() >= count:
+                    if each.get("semantic") == "TEXCOORD":
+                        used = f"texture coordinates 0 to {column.max()} are used, but there are {count}"
+                        yield f"{geometry.get('name') or geometry.get('id')}: {used}; shown without texture"
+                    each.set("semantic", "UNUSED")
 
 
 def _visit(reader: _Reader, node: Any, parent: str, frame: Floats, depth: int) -> None:
@@ -107,7 +148,7 @@ def _pieces(reader: _Reader, primitive: Any, material: Any, path: str) -> Iterat
     surface, is_two_sided = _surface(reader, material, path)
     uvs = None
     if primitive.texcoordset:
-        texcoords = _texcoords(primitive)
+        texcoords = np.asarray(primitive.texcoord_indexset[0], np.int64).reshape(-1)
         uvs = np.asarray(primitive.texcoordset[0], np.float64)[texcoords[cut.corners]][..., :2]
     yield mesh_piece(points, rows[cut.corners], surface, uvs, is_two_sided=True if is_two_sided else None)
 
@@ -118,14 +159,6 @@ def _faces(primitive: Any) -> tuple[Ints, Ints]:
         return np.asarray(primitive.vcounts, np.int64), np.asarray(primitive.vertex_index, np.int64).reshape(-1)
     rows = np.asarray(primitive.vertex_index, np.int64).reshape(-1)
     return np.full(len(rows) // 3, 3), rows
-
-
-def _texcoords(primitive: Any) -> Ints:
-    rows = np.asarray(primitive.texcoord_indexset[0], np.int64).reshape(-1)
-    count = len(primitive.texcoordset[0])
-    if len(rows) and not 0 <= rows.min() <= rows.max() < count:
-        raise ValueError(f"texture coordinates {rows.min()} to {rows.max()} (from 0) are used, but there are {count}")
-    return rows
 
 
 def _surface(reader: _Reader, material: Any, path: str) -> tuple[Surface, bool]:

@@ -9,12 +9,17 @@ import hashlib
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
+from factory.scenes.formats.xml_text import parse_xml
 from factory.scenes.importer.assets import ReadableFolder, read_asset
 from factory.scenes.importer.collect import Collector
 from factory.scenes.importer.content import Part, Surface
 from schemas.errors import WorldError
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 _OUTSIDE = "files outside of the scene's folder (move them below it, or allow them with --allow-outside)"
 
@@ -58,6 +63,20 @@ class SceneFiles:
         data = path.read_bytes()
         self.digests[self._seen(path)] = hashlib.sha256(data).hexdigest()
         return data
+
+    def read_xml(self, path: Path) -> Element:
+        """Returns the root element of an XML file; a fault that simulators accept is repaired with a note.
+
+        Raises:
+            ValueError: the file is not valid; the message names it, unless it is the root file. For others, see `read`.
+        """
+        data, repairs = self.read(path), list[str]()
+        try:
+            root = parse_xml(data, repairs)
+        except ValueError as error:
+            raise ValueError(f"{error}" if path == self.root else f"{self._seen(path)}: {error}") from error
+        self.scene.notes += [f"{self._seen(path)}: {repair}" for repair in repairs]
+        return root
 
     def is_usable(self, path: Path, user: str) -> bool:
         """Returns whether a file exists inside the folders. If not, `require_all` raises an error that names it."""

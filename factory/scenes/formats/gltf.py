@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import cos, sin
+from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
 
@@ -23,8 +24,9 @@ from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.poses import quaternion_matrix
 from factory.scenes.formats.shapes import BROKEN, Content, Names, ShapeNode, label_of, mesh_piece
 from factory.scenes.importer.collect import Piece
-from factory.scenes.importer.content import Affine, Colour, Surface
+from factory.scenes.importer.content import SOLID_NOTE, Affine, Colour, Surface
 from schemas.support.numpy_types import Floats, Ints
+from schemas.support.shell import quoted
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -60,7 +62,7 @@ class Document:
         """Returns the bytes of a buffer view, and its stride, bytes; 0 if packed."""
         view = self.item("bufferViews", index)
         if "EXT_meshopt_compression" in (view.get("extensions") or {}):
-            raise ValueError("meshopt compression is not supported; export the file without compression")
+            raise ValueError(f"meshopt compression is not supported; remove it with: {_rewrite(self, 'copy')}")
         start, size = int(view.get("byteOffset", 0)), int(view["byteLength"])
         data = self._buffer(int(view["buffer"]))
         if not 0 <= start <= start + size <= len(data):
@@ -198,6 +200,8 @@ def read_surface(document: Document, index: int | None, user: str) -> tuple[Surf
     texture = base.get("diffuseTexture" if glossy else "baseColorTexture")
     if texture is not None:
         surface = _textured(document, surface, texture, user)
+    if surface.texture and material.get("alphaMode") == "MASK":
+        document.files.scene.notes.append(f"material {surface.name or index}: {SOLID_NOTE}")
     return surface, bool(material.get("doubleSided", False))
 
 
@@ -208,7 +212,8 @@ def _textured(document: Document, surface: Surface, info: dict[str, Any], user: 
     source = texture.get("source", webp.get("source"))
     if source is None:
         kinds = ", ".join(extensions) or "no image"
-        document.files.scene.notes.append(f"{user}: texture of {kinds} is not supported, shown in one colour")
+        remedy = f"; decode it with: {_rewrite(document, 'ktxdecompress')}" if _KTX in extensions else ""
+        document.files.scene.notes.append(f"{user}: texture of {kinds} is not supported, shown in one colour{remedy}")
         return surface
     transform = (info.get("extensions") or {}).get("KHR_texture_transform") or {}
     full = replace(
@@ -245,6 +250,7 @@ _SUPPORTED = frozenset(
         "EXT_texture_webp",
     }
 )
+_KTX = "KHR_texture_basisu"
 _IGNORABLE = ("KHR_materials_", "KHR_xmp", "KHR_animation", "EXT_lights_image_based")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _Visit = tuple[int, str, Floats, tuple[int, ...]]
@@ -293,11 +299,18 @@ def _require_extensions(document: Document) -> None:
     needed = [str(name) for name in document.json.get("extensionsRequired") or ()]
     lacking = [name for name in needed if name not in _SUPPORTED and not name.startswith(_IGNORABLE)]
     if lacking:
-        name = document.files.root.name
-        raise ValueError(
-            f"it needs {', '.join(lacking)}, not supported; export it without, or: npx gltf-transform copy {name} "
-            f"plain_{name}"
-        )
+        command = _rewrite(document, "ktxdecompress" if _KTX in lacking else "copy", is_error=True)
+        raise ValueError(f"it needs {', '.join(lacking)}, not supported; export it without, or: {command}")
+
+
+def _rewrite(document: Document, verb: str, is_error: bool = False) -> str:
+    """Returns the command that writes the file without compressed meshes (`copy`) or pictures (`ktxdecompress`).
+
+    A note contains the name of the file only, because notes are part of the package and equal on every machine.
+    """
+    root = document.files.root
+    path = root if is_error and root.name == document.files.scene.file else Path(root.name)
+    return f"npx @gltf-transform/cli {verb} {quoted(path)} {quoted(path.with_name(f'plain_{path.name}'))}"
 
 
 def _roots(document: Document) -> list[int]:
@@ -362,13 +375,18 @@ def _copies(document: Document, attributes: dict[str, int]) -> Iterator[Floats]:
 
 def _pieces(reader: _Reader, path: str, mesh: int) -> Iterator[Piece]:
     for primitive in reader.document.item("meshes", mesh)["primitives"]:
-        if "KHR_draco_mesh_compression" in (primitive.get("extensions") or {}):
-            raise ValueError("Draco compression is not supported; export the file without compression")
+        if "KHR_draco_mesh_compression" in (primitive.get("extensions") or {}) and not _has_plain(reader, primitive):
+            raise ValueError(f"Draco compression is not supported; remove it with: {_rewrite(reader.document, 'copy')}")
         mode = int(primitive.get("mode", _TRIANGLES))
         if mode < _TRIANGLES:
             reader.counts["meshes of points or lines are omitted"] += 1
             continue
         yield _piece(reader, path, primitive, mode)
+
+
+def _has_plain(reader: _Reader, primitive: dict[str, Any]) -> bool:
+    """Returns whether a primitive with Draco compression has uncompressed points, too; it must if Draco is optional."""
+    return "bufferView" in reader.document.item("accessors", int(primitive["attributes"]["POSITION"]))
 
 
 def _piece(reader: _Reader, path: str, primitive: dict[str, Any], mode: int) -> Piece:
@@ -389,7 +407,11 @@ def _piece(reader: _Reader, path: str, primitive: dict[str, Any], mode: int) -> 
         reader.note(f"{path}: textured but without texture coordinates, shown in one colour")
     tints = None
     if "COLOR_0" in attributes and not surface.texture:
-        tints = document.accessor(int(attributes["COLOR_0"]))[corners][..., :3] * np.array(surface.colour)
+        colours = document.accessor(int(attributes["COLOR_0"]))
+        if len(colours) > corners.max(initial=-1):
+            tints = colours[corners][..., :3] * np.array(surface.colour)
+        else:
+            reader.note(f"{path}: {len(colours)} vertex colours for {len(points)} vertices, ignored")
     piece = Piece(piece.triangles, uvs, tints, surface)
     return piece.both_sides() if is_two_sided else piece
 
@@ -397,7 +419,10 @@ def _piece(reader: _Reader, path: str, primitive: dict[str, Any], mode: int) -> 
 def _uvs(document: Document, attributes: dict[str, Any], surface: Surface, corners: Ints) -> Floats | None:
     if surface.uv_set not in attributes or surface.uv_affine is None:
         return None
-    values = document.accessor(int(attributes[surface.uv_set])).astype(np.float64)[corners][..., :2]
+    every = document.accessor(int(attributes[surface.uv_set])).astype(np.float64)
+    if len(every) <= corners.max(initial=-1):
+        return None
+    values = every[corners][..., :2]
     rows = np.array(surface.uv_affine).reshape(2, 3)
     return np.asarray(values @ rows[:, :2].T + rows[:, 2])
 

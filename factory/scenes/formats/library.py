@@ -5,8 +5,10 @@ Reads each mesh once. Records missing files, so one error names all of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from urllib.parse import quote, unquote
 
 import numpy as np
 
@@ -16,15 +18,32 @@ from factory.scenes.formats.gltf import read_gltf
 from factory.scenes.formats.meshes import read_ply, read_stl
 from factory.scenes.formats.obj import read_obj
 from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content, solid_piece, to_metres
-from factory.scenes.formats.xml_text import parse_xml, text_of
+from factory.scenes.formats.xml_text import text_of
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons
 from factory.scenes.stage_file import kind_of_file
 from schemas.support.numpy_types import Floats
 
-_NAMED = ("model://", "package://")
-_REMOTE = ("http://", "https://", "fuel://")
+NAMED = ("model://", "package://")
+REMOTE = ("http://", "https://", "fuel://")
 _MESHES = {"COLLADA": read_collada, "OBJ": read_obj, "PLY": read_ply, "STL": read_stl}
+
+
+_FUEL_HOSTS = ("fuel.gazebosim.org", "fuel.ignitionrobotics.org")
+
+
+def fuel_name(uri: str) -> tuple[str, str, str, str]:
+    """Returns owner, model, version and file of a URI of Fuel: `https://HOST/1.0/OWNER/models/NAME[/VERSION[/files/...]]`.
+
+    All are empty but the model, the last segment, if the URI has another form.
+    """
+    steps = unquote(uri).partition("://")[2].strip("/").split("/")
+    if "models" not in steps[1:-1]:
+        return "", steps[-1], "", ""
+    place = steps.index("models", 1)
+    owner, name, *rest = steps[place - 1], *steps[place + 1 :]
+    version = rest.pop(0) if rest and (rest[0].isdigit() or rest[0] == "tip") else ""
+    return owner, name, "" if version == "tip" else version, "/".join(rest[1:] if rest[:1] == ["files"] else rest)
 
 
 def read_mesh_file(path: Path, files: SceneFiles) -> Content:
@@ -62,10 +81,23 @@ class Library:
             uri: relative path, or `file://`, `model://` or `package://` URI.
             folder: folder of the file that contains the reference.
         """
-        is_named = uri.startswith(_NAMED)
+        if uri.startswith(REMOTE):
+            return next((place for place in self._copies(uri) if place.exists()), Path(uri))
+        is_named = uri.startswith(NAMED)
         path = uri.partition("://")[2].strip("/") if is_named else uri
         places = [place_of(each, path) for each in (*(() if is_named else (folder,)), *self.folders)]
         return next((place for place in places if place.exists()), places[-1 if is_named else 0])
+
+    def _copies(self, uri: str) -> Iterator[Path]:
+        """Yields the places of a copy of a model of Fuel: a folder with its name, or in the cache of Gazebo."""
+        owner, name, version, rest = fuel_name(uri)
+        for folder in self.folders:
+            for plain in dict.fromkeys((name, name.lower(), name.lower().replace(" ", "_"))):
+                yield place_of(folder, quote(f"{plain}/{rest}"))
+            for cache in (folder, *(folder / host for host in _FUEL_HOSTS)):
+                versions = place_of(cache, quote(f"{owner.lower()}/models/{name.lower()}"))
+                stored = sorted((each.name for each in versions.glob("[0-9]*")), key=int, reverse=True)
+                yield from (place_of(versions / number, quote(rest)) for number in ([version] if version else stored))
 
     def locate(self, uri: str, folder: Path, user: str) -> Path | None:
         """Returns the file or folder of a URI, or records that it is missing and returns `None`; see `find`.
@@ -76,10 +108,10 @@ class Library:
             user: node that refers to it, for the message.
         """
         place = self.find(uri, folder)
-        if uri.startswith(_REMOTE):
-            reason = "files on the network (download them, and refer to the copies as model://NAME)"
+        if uri.startswith(REMOTE) and not place.exists():
+            reason = "files on the network (download them into a folder, and give it with --model-dir DIR)"
             self.files.add_fault(reason, uri, user)
-        elif uri.startswith(_NAMED) and not place.exists():
+        elif uri.startswith(NAMED) and not place.exists():
             searched = ", ".join(str(folder) for folder in self.folders)
             self.files.add_fault(
                 f"files missing in {searched} (give the folder that contains them with --model-dir DIR)", uri, user
@@ -152,14 +184,19 @@ def _recoloured(shape: ShapeNode, surface: Surface) -> ShapeNode:
 def model_file(folder: Path, files: SceneFiles) -> Path | None:
     """Returns the SDF file of a Gazebo model folder: the one of the highest version in `model.config`.
 
-    Raises:
-        ValueError: `model.config` is malformed.
+    If `model.config` is malformed or does not exist, returns `model.sdf`, or else the first SDF file of the folder.
     """
     config = folder / "model.config"
+    usual = next((place for place in (folder / "model.sdf", *sorted(folder.glob("*.sdf"))) if place.is_file()), None)
     if not config.is_file():
-        return next((place for place in (folder / "model.sdf", *sorted(folder.glob("*.sdf"))) if place.is_file()), None)
-    root = parse_xml(files.read(config))
-    entries = [(_version(entry.get("version", "0")), (entry.text or "").strip()) for entry in root.iter("sdf")]
+        return usual
+    try:
+        root = files.read_xml(config)
+        entries = [(_version(entry.get("version", "0")), (entry.text or "").strip()) for entry in root.iter("sdf")]
+    except ValueError as error:
+        if usual is not None:
+            files.scene.notes.append(f"{error}; {usual.name} is read")
+        return usual
     return place_of(folder, max(entries)[1]) if entries else folder / (text_of(root, "sdf") or "model.sdf")
 
 

@@ -18,10 +18,10 @@ from PIL import Image
 
 from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names, display_colour, mesh_piece, solid_piece
-from factory.scenes.formats.xml_text import parse_xml
 from factory.scenes.importer.collect import Piece
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import box, capsule, cylinder, plane, sphere
+from schemas.support.numpy_types import Floats
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -42,42 +42,58 @@ def require_files(path: Path, files: SceneFiles) -> None:
         ValueError: a file is malformed, contains entities or includes itself.
         WorldError: files are missing, outside of the folders, or too large; the message names all.
     """
-    elements: list[Element] = []
+    elements: list[tuple[Element, Path]] = []
     _collect(path, path.parent, files=files, elements=elements, above=())
     folders = {"assetdir": "", "strippath": "false"}
-    for element in elements:
+    for element, _ in elements:
         if element.tag == "compiler":
+            shared = element.get("assetdir")
+            folders |= {} if shared is None else {"meshdir": shared, "texturedir": shared}
             folders |= element.attrib
-    for element in elements:
+    for element, beside in elements:
         for key, value in element.attrib.items():
             if key.startswith("file") and element.tag not in ("include", "mujoco") and value:
                 folder = folders.get(_FOLDER_OF.get(element.tag, ""), folders["assetdir"])
                 name = Path(value).name if folders["strippath"] == "true" else value
-                place = place_of(path.parent, str(Path(folder) / name))
+                place = _first_of(path.parent, str(Path(folder) / name), beside, name)
                 if files.is_usable(place, f"{element.tag} {element.get('name', '')}".strip()):
                     files.read(place)
     files.require_all(may_skip=False)
 
 
-def _collect(path: Path, folder: Path, files: SceneFiles, elements: list[Element], above: tuple[Path, ...]) -> None:
-    """Adds the elements of a file and of its includes."""
+def _first_of(folder: Path, reference: str, beside: Path, name: str) -> Path:
+    """Returns the place of a file as MuJoCo finds it: from the main file, or else from the file that names it."""
+    place, other = place_of(folder, reference), place_of(beside, name)
+    return other if other.is_file() and not place.is_file() else place
+
+
+def _collect(
+    path: Path, folder: Path, files: SceneFiles, elements: list[tuple[Element, Path]], above: tuple[Path, ...]
+) -> None:
+    """Adds the elements of a file and of its includes, in document order, each with the folder of its file."""
     if path in above:
         raise ValueError(f"{path.name} includes itself")
     if len(above) > 50 or len(files.digests) > _MOST_FILES:
         raise ValueError("its includes are nested too deeply")
-    root = parse_xml(files.read(path))
-    elements += list(root.iter())
-    for include in root.iter("include"):
-        place = place_of(folder, str(include.get("file") or ""))
-        if files.is_usable(place, path.name):
-            _collect(place, folder, files=files, elements=elements, above=(*above, path))
+    # in document order, as MuJoCo reads them: the last <compiler> applies to all assets
+    for element in files.read_xml(path).iter():
+        elements.append((element, path.parent))
+        if element.tag == "include":
+            name = str(element.get("file") or "")
+            place = _first_of(folder, name, path.parent, name)
+            if files.is_usable(place, path.name):
+                _collect(place, folder, files=files, elements=elements, above=(*above, path))
 
 
 _SHOWN_GROUPS = 3
 """Geoms of groups 0 to 2 are visible in MuJoCo's viewer; those of groups 3 to 5 are for collision."""
 _SOLID_GROUP = 0
-"""Geoms of this group are visible. If their body also has visible geoms that do not collide, the geoms of this group
-are for collision only."""
+"""Geoms of this group are visible, unless geoms of other visible groups that do not collide stand for them."""
+_READER_VERSION = "mjcf 2"
+"""Set for a model of which version 1 hid every geom of group 0 beside a decoration."""
+_STAND_IN_M = 0.1
+"""A geom of group 0 that collides is for collision only if the visible geoms of its body that do not collide enclose
+its box, with this margin, metres. A lamp on a wall does not stand for the wall."""
 
 
 def read_mjcf(path: Path, files: SceneFiles) -> None:
@@ -101,12 +117,14 @@ def read_mjcf(path: Path, files: SceneFiles) -> None:
     names = Names()
     paths = _body_paths(model, names)
     _mark_models(model, files, paths)
-    decorated = {int(model.geom_bodyid[geom]) for geom in range(model.ngeom) if _decorates(model, geom)} - {0}
+    decorated = _boxes_of_decoration(model, data)
     for geom in range(model.ngeom):
         kind = mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
         prim = names.path(paths[int(model.geom_bodyid[geom])], model.geom(geom).name, kind)
         try:
-            is_proxy = int(model.geom_group[geom]) == _SOLID_GROUP and int(model.geom_bodyid[geom]) in decorated
+            is_proxy = _is_proxy(model, data, geom, decorated)
+            if not is_proxy and _was_hidden(model, geom, decorated):
+                files.scene.reader_version = _READER_VERSION
             _place(model, data, files, geom, prim, is_proxy)
         except BROKEN as error:
             files.scene.notes.append(f"{prim}: skipped, {error}")
@@ -138,6 +156,38 @@ def _collides(model: Any, geom: int) -> bool:
 
 def _decorates(model: Any, geom: int) -> bool:
     return _SOLID_GROUP < int(model.geom_group[geom]) < _SHOWN_GROUPS and not _collides(model, geom)
+
+
+def _boxes_of_decoration(model: Any, data: Any) -> dict[int, Floats]:
+    """Returns the bounding box (2, 3), world metres, of the decoration of each body but the world."""
+    boxes: dict[int, Floats] = {}
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if body and _decorates(model, geom):
+            box = _box_of(model, data, geom)
+            known = boxes.get(body, box)
+            boxes[body] = np.stack([np.minimum(known[0], box[0]), np.maximum(known[1], box[1])])
+    return boxes
+
+
+def _is_proxy(model: Any, data: Any, geom: int, decorated: dict[int, Floats]) -> bool:
+    is_plane = int(model.geom_type[geom]) == mujoco.mjtGeom.mjGEOM_PLANE
+    if is_plane or not _was_hidden(model, geom, decorated) or not _collides(model, geom):
+        return False
+    box, outer = _box_of(model, data, geom), decorated[int(model.geom_bodyid[geom])]
+    return bool((box[0] >= outer[0] - _STAND_IN_M).all() and (box[1] <= outer[1] + _STAND_IN_M).all())
+
+
+def _was_hidden(model: Any, geom: int, decorated: dict[int, Floats]) -> bool:
+    return int(model.geom_group[geom]) == _SOLID_GROUP and int(model.geom_bodyid[geom]) in decorated
+
+
+def _box_of(model: Any, data: Any, geom: int) -> Floats:
+    """Returns the bounding box (2, 3) of a geom, world metres."""
+    centre, half = model.geom_aabb[geom].reshape(2, 3)
+    turn = data.geom_xmat[geom].reshape(3, 3)
+    middle, reach = turn @ centre + data.geom_xpos[geom], np.abs(turn) @ half
+    return np.stack([middle - reach, middle + reach])
 
 
 def _place(model: Any, data: Any, files: SceneFiles, geom: int, path: str, is_proxy: bool) -> None:

@@ -66,7 +66,8 @@ def read_obj(data: bytes, path: Path, files: SceneFiles) -> Content:
     for (name, material), faces in lines.faces.items():
         if material and material not in surfaces:
             files.scene.notes.append(f"{path.name}: material {material} is not defined; object {name} is shown in grey")
-        piece = _piece(faces, points, colours, uvs, surfaces.get(material, Surface()))
+        piece, note = _piece(faces, points, colours, uvs, surfaces.get(material, Surface()))
+        files.scene.notes += [f"{path.name}: object {name or 'object'}: {note}"] if note else []
         objects.setdefault(name, []).append(piece)
     for name, pieces in objects.items():
         content.shapes.append(ShapeNode(names.path("", name, "object"), tuple(pieces), np.eye(4)))
@@ -121,22 +122,27 @@ def _points(lines: list[list[str]]) -> tuple[Floats, Floats | None]:
     return points, None if colours is None else linear_of(np.clip(colours, 0.0, 1.0))
 
 
-def _piece(faces: _Faces, points: Floats, colours: Floats | None, uvs: Floats, surface: Surface) -> Piece:
+def _piece(faces: _Faces, points: Floats, colours: Floats | None, uvs: Floats, surface: Surface) -> tuple[Piece, str]:
+    """Returns the faces as a piece, and a note if their texture coordinates cannot be used."""
     parts = [corner.split("/") for corner in faces.corners]
     vertices = np.array([part[0] for part in parts], np.int64) - 1
     cut = triangulate(points, np.array(faces.counts, np.int64), vertices)
     corners = vertices[cut.corners]
-    values = None
-    if all(len(part) > 1 and part[1] for part in parts):
-        values = _values(uvs, np.array([part[1] for part in parts], np.int64) - 1)[cut.corners]
+    rows = np.array([part[1] if len(part) > 1 and part[1] else 0 for part in parts], np.int64) - 1
+    note = _unusable(rows, uvs, surface)
+    values = None if note or not len(rows) or rows.min() < 0 else np.asarray(uvs[rows][cut.corners])
     tints = None if colours is None else colours[corners]
-    return mesh_piece(points, corners, surface=surface, uvs=values, tints=tints)
+    return mesh_piece(points, corners, surface=surface, uvs=values, tints=tints), note
 
 
-def _values(uvs: Floats, rows: Ints) -> Floats:
-    if len(rows) and not 0 <= rows.min() <= rows.max() < len(uvs):
-        raise ValueError(f"texture coordinates {rows.min() + 1} to {rows.max() + 1} are used, but there are {len(uvs)}")
-    return np.asarray(uvs[rows])
+def _unusable(rows: Ints, uvs: Floats, surface: Surface) -> str:
+    """Returns a note on texture coordinates that do not exist, or an empty string; row -1 means none."""
+    if len(rows) and (rows.max() >= len(uvs) or rows.min() < -1):
+        low, high = rows.min() + 1, rows.max() + 1
+        return f"texture coordinates {low} to {high} are used, but there are {len(uvs)}; shown without texture"
+    if surface.texture and len(rows) and rows.min() < 0:
+        return "textured, but some faces are without texture coordinates; shown in one colour"
+    return ""
 
 
 def _surfaces(libraries: list[str], path: Path, files: SceneFiles) -> dict[str, Surface]:

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factory.scenes.formats.files import SceneFiles
-from factory.scenes.formats.library import Library, model_file
+from factory.scenes.formats.library import NAMED, REMOTE, Library, fuel_name, model_file
 from factory.scenes.formats.poses import numbers, pose_matrix, quaternion_matrix
-from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names, display_colour
-from factory.scenes.formats.xml_text import parse_xml, text_of
+from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names, display_colour, solid_piece
+from factory.scenes.formats.xml_text import text_of
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, plane, sphere
+from factory.scenes.navigation.floor import level_area_m2
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 
@@ -229,6 +230,8 @@ class _Reader:
     documents: dict[Path, Element] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
     includes: int = 0
+    grounds: dict[float, tuple[str, str, Floats]] = field(default_factory=dict)
+    """Path, URI and transform (4, 4) of the ground planes of Gazebo that are not in a searched folder, by height."""
 
     @property
     def files(self) -> SceneFiles:
@@ -236,7 +239,7 @@ class _Reader:
 
     def parsed(self, path: Path) -> Element:
         if path not in self.documents:
-            self.documents[path] = parse_xml(self.files.read(path))
+            self.documents[path] = self.files.read_xml(path)
         return self.documents[path]
 
 
@@ -260,6 +263,7 @@ def read_sdf(path: Path, files: SceneFiles) -> None:
         files.scene.notes.append(f"{len(scopes)} worlds; the first is read: {scopes[0].get('name')}")
     _read_scope(reader, scopes[0], path=path, parent=ROOT, here=np.eye(4), above=(path,))
     files.require_all()
+    _place_grounds(reader)
     for what, count in (+reader.counts).items():
         files.scene.notes.append(f"{count} {what}")
 
@@ -302,6 +306,8 @@ def _read_include(
     if reader.includes > _MOST_INCLUDES:
         raise WorldError(f"{reader.files.root.name} includes more than {_MOST_INCLUDES} models; split the world")
     uri = text_of(include, "uri")
+    if _is_built_in(reader, include, uri, path=path, parent=parent, place=place):
+        return
     location = reader.library.locate(uri, path.parent, parent)
     if location is not None and location.is_dir():
         folder, location = location, model_file(location, reader.files)
@@ -314,6 +320,9 @@ def _read_include(
         raise ValueError(f"{uri} includes itself")
     root = reader.parsed(location)
     model = root if root.tag == "model" else root.find("model")
+    if model is None and root.find("light") is not None:
+        reader.counts[LIGHTS_NOTE] += 1
+        return
     if model is None:
         raise ValueError(f"{uri} has no <model>")
     with_own = place if include.find("pose") is not None else np.asarray(place @ read_pose(model))
@@ -321,6 +330,42 @@ def _read_include(
         with_own = np.asarray(with_own @ np.linalg.inv(Frames(model).frame(text_of(include, "placement_frame"))))
     name = text_of(include, "name") or model.get("name")
     _read_model(reader, model, path=location, named=(parent, name), place=with_own, above=(*above, location))
+
+
+def _is_built_in(reader: _Reader, include: Element, uri: str, path: Path, parent: str, place: Floats) -> bool:
+    """Returns whether a model is part of Gazebo, and adds it; a copy in a searched folder has precedence."""
+    name = fuel_name(uri)[1].lower().replace(" ", "_").replace("-", "_")
+    if name not in ("sun", "ground_plane") or not uri.startswith((*NAMED, *REMOTE)):
+        return False
+    if reader.library.find(uri, path.parent).exists():
+        return False
+    if name == "sun":
+        reader.counts[LIGHTS_NOTE] += 1
+    else:
+        plane_path = reader.names.path(parent, text_of(include, "name") or name, name)
+        reader.grounds.setdefault(round(float(place[2, 3]), 3), (plane_path, uri, place))
+    return True
+
+
+_GROUND_M = 100.0
+_SUNK_M = 0.004
+"""Depth of a built-in ground plane below a floor at its height, so the two do not flicker; within the floor's skin."""
+
+
+def _place_grounds(reader: _Reader) -> None:
+    """Adds the built-in ground planes, after all models."""
+    scene = reader.files.scene
+    shown = [part.triangles for part in scene.parts if not part.is_collider]
+    for path, uri, place in reader.grounds.values():
+        scene.notes.append(f"{path}: {uri} is not in a searched folder; taken as a plane of {_GROUND_M:g} m")
+        sunk = np.array(place)
+        if shown and level_area_m2(np.concatenate(shown), float(place[2, 3]), _SUNK_M) > 0:
+            sunk[2, 3] -= _SUNK_M
+        piece = solid_piece(plane(_GROUND_M / 2, _GROUND_M / 2), Surface(*(_GROUND, "", _GROUND)))
+        scene.place(path, [piece], sunk)
+
+
+_GROUND = display_colour(*_SCRIPTS["grey"])
 
 
 def _read_link(reader: _Reader, link: Element, path: Path, parent: str, poses: tuple[Frames, Floats, Floats]) -> None:

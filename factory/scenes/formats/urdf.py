@@ -1,10 +1,12 @@
 """Reads URDF: links with their visuals and collisions, connected by joints at position zero.
 
-Limits, dynamics, transmissions and Gazebo extensions are ignored. xacro macros are not expanded.
+Limits, dynamics, transmissions and Gazebo extensions are ignored. xacro macros are not expanded; those that are left in
+a link are ignored.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,10 +17,10 @@ from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.library import Library
 from factory.scenes.formats.poses import numbers, pose_matrix
 from factory.scenes.formats.shapes import BROKEN, ROOT, Names, display_colour
-from factory.scenes.formats.xml_text import parse_xml
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, sphere
 from schemas.support.numpy_types import Floats
+from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -39,10 +41,8 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
         ValueError: the file is malformed, or contains xacro macros.
         WorldError: files are missing; the message names all.
     """
-    data = files.read(path)
-    if b"/xacro" in data and b"<xacro:" in data:
-        raise ValueError(f"it contains xacro macros; expand them first: xacro {path.name} > {path.stem}.urdf")
-    robot = parse_xml(data)
+    robot = files.read_xml(path)
+    _require_expanded(robot, path, files)
     library, names = Library(files), Names()
     materials = {str(element.get("name")): element for element in robot.iter("material") if len(element)}
     places = _link_places(robot)
@@ -66,6 +66,65 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
                 except BROKEN as error:
                     files.scene.notes.append(f"{shape_path}: skipped, {error}")
     files.require_all()
+
+
+_SILENT = ("arg", "property")
+"""Elements of xacro that define values only; without a use of the values, they have no effect."""
+
+
+def _require_expanded(robot: Element, path: Path, files: SceneFiles) -> None:
+    """Checks that the file needs no xacro. Elements of xacro that are left in a link or joint add a note.
+
+    Raises:
+        ValueError: it defines, includes or uses macros, or an attribute contains an expression; the message names the
+            line, and the command that expands the file.
+    """
+    text = files.read(path).decode("utf-8-sig", errors="replace")
+    for number, line in enumerate(_COMMENT.sub(_blank, text).splitlines(), 1):
+        expression = _EXPRESSION.search(line)
+        if expression:
+            raise ValueError(f"line {number} contains the xacro expression {expression[0]}; {_expand(path)}")
+    above = {child: parent for parent in robot.iter() for child in parent}
+    for element in robot.iter():
+        if not _is_xacro(element):
+            continue
+        tag = f"xacro:{_local(element)}"
+        number = next((k for k, line in enumerate(text.splitlines(), 1) if f"<{tag}" in line), 0)
+        if _local(element) not in _SILENT and not _has_parent(element, above, ("link", "joint")):
+            raise ValueError(f"line {number} contains <{tag}>, a macro of xacro; {_expand(path)}")
+        files.scene.notes.append(f"line {number}: <{tag}> is not expanded, ignored")
+
+
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_EXPRESSION = re.compile(r"\$\{[^}]*\}|\$\((?:arg|find|env|optenv|eval)\b[^)]*\)")
+
+
+def _blank(found: re.Match[str]) -> str:
+    return "\n" * found[0].count("\n")
+
+
+def _is_xacro(element: Element) -> bool:
+    space = str(element.tag).rpartition("}")[0]
+    return space.endswith(("/xacro", "{xacro"))
+
+
+def _local(element: Element) -> str:
+    return str(element.tag).rpartition("}")[2]
+
+
+def _has_parent(element: Element, above: dict[Element, Element], tags: tuple[str, ...]) -> bool:
+    while element in above:
+        element = above[element]
+        if element.tag in tags:
+            return True
+    return False
+
+
+def _expand(path: Path) -> str:
+    """Returns the command that expands a file into another one beside it."""
+    plain = path.with_suffix("") if path.suffix == ".xacro" else path
+    target = plain.with_name(f"{plain.stem}.urdf") if plain != path else path.with_name(f"{path.stem}_expanded.urdf")
+    return f"expand it first: xacro {quoted(path)} -o {quoted(target)}"
 
 
 def _origin(element: Element) -> Floats:

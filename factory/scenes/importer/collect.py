@@ -88,12 +88,18 @@ class Collector:
             ValueError: points or transform are not finite.
             WorldError: the scene has too many triangles.
         """
-        chosen = list(pieces)
+        chosen = [self._with_finite_uvs(path, piece) for piece in pieces]
         more = sum(len(piece.triangles) for piece in chosen)
         self.require_room(path, more)
         parts = [_placed(piece, path, to_world, is_collider) for piece in chosen]
         self.triangles += more
         self.parts += parts
+
+    def _with_finite_uvs(self, path: str, piece: Piece) -> Piece:
+        if piece.uvs is None or np.isfinite(piece.uvs).all():
+            return piece
+        self.notes.append(f"{path}: texture coordinates that are not finite are taken as 0")
+        return replace(piece, uvs=np.nan_to_num(piece.uvs, posinf=0.0, neginf=0.0))
 
     def extraction(
         self,

@@ -17,6 +17,8 @@ Affine = tuple[float, float, float, float, float, float]
 GRAY: Colour = (0.18, 0.18, 0.18)
 """Linear default colour, equal to the default of the preview surface."""
 
+SOLID_NOTE = "its texture cuts holes by alpha, which is not supported; drawn solid in colour, depth and ids"
+
 
 @dataclass(frozen=True)
 class Surface:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdUtils
 
 from factory.scenes.importer.assets import ReadableFolder, read_asset
 from factory.scenes.importer.collect import Collector, Piece
@@ -29,10 +29,20 @@ from factory.scenes.importer.prims import (
     read_mesh,
     uv_values,
 )
-from factory.scenes.importer.stage import BROKEN_PRIM, PrimPlacement, find_unseen, open_stage, walk_stage
+from factory.scenes.importer.stage import (
+    BROKEN_PRIM,
+    PrimPlacement,
+    find_unseen,
+    open_stage,
+    take_warnings,
+    walk_stage,
+)
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.support.numpy_types import Floats
 
+_HARMLESS = "MaterialBindingAPI"
+"""Word in the two warnings of USD on each prim that binds a material without applying this schema, as apps for phone
+scans write it; the binding is read, so nothing is lost."""
 _COLLIDER_NAME = re.compile(r"colli(sion|der)|(^|_)(ucx|ubx|phys(ics)?)(_|$)", re.IGNORECASE)
 
 
@@ -59,11 +69,13 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
     notes = content.notes
     scene = open_stage(path, notes)
     work = _Extractor(content, ReadableFolder(path, limits.allow_outside))
+    listener = UsdUtils.CoalescingDiagnosticDelegate()  # as long as it exists, USD prints no warning
     for placement in walk_stage(scene, notes):
         try:
             _take(work, placement)
         except BROKEN_PRIM as error:
             notes.append(f"{placement.path}: skipped, {format_error(text_of(error.__str__))}")
+    notes += take_warnings(listener, ignored=_HARMLESS)
     if all(part.is_collider for part in content.parts):
         notes += find_unseen(scene)
     digests = _digests(scene.stage, content.parts)

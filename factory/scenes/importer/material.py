@@ -14,7 +14,7 @@ from typing import Any
 from pxr import Sdf, UsdShade
 
 from factory.scenes.importer.assets import asset_path, read_asset, sibling
-from factory.scenes.importer.content import GRAY, Affine, Colour, Surface
+from factory.scenes.importer.content import GRAY, SOLID_NOTE, Affine, Colour, Surface
 
 _WHITE: Colour = (1.0, 1.0, 1.0)
 _BLACK: Colour = (0.0, 0.0, 0.0)
@@ -57,6 +57,8 @@ def read_surface(material: Any, notes: list[str]) -> Surface | None:
     """
     name, shader = material.GetPrim().GetName(), material.ComputeSurfaceSource()[0]
     if shader and shader.GetIdAttr().Get() in _SURFACES:
+        if _value(shader, "opacityThreshold") and isinstance(_end(shader, "opacity"), UsdShade.Shader):
+            notes.append(f"{material.GetPath()}: {SOLID_NOTE}")
         return replace(_one_tile(material, _preview(shader, notes), notes), name=name)
     shader = material.ComputeSurfaceSource("mdl")[0]
     surface = _mdl_inputs(shader) or _mdl_text(shader) if shader else None
@@ -92,9 +94,14 @@ def _preview(shader: Any, notes: list[str]) -> Surface:
 
 def _value(shader: Any, name: str) -> Any | None:
     """Returns the constant value of an input, or `None` if it is a texture or missing."""
-    shader_input = shader.GetInput(name)
-    end = _follow(shader_input) if shader_input else None
+    end = _end(shader, name)
     return None if isinstance(end, UsdShade.Shader) else end
+
+
+def _end(shader: Any, name: str) -> Any | None:
+    """Returns the constant value or the texture of an input, or `None` if it is missing."""
+    shader_input = shader.GetInput(name)
+    return _follow(shader_input) if shader_input else None
 
 
 def _scalar(value: Any) -> float:

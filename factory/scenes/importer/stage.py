@@ -88,11 +88,7 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     except Tf.ErrorException as error:
         reason = format_error(text_of(error.__str__))
         raise WorldError(f"{path.name} is not a readable USD stage ({reason}); check it with usdchecker") from error
-    warnings = (
-        format_warning(text_of(partial(getattr, diagnostic, "commentary")))
-        for diagnostic in listener.TakeUncoalescedDiagnostics()
-    )
-    notes += sorted(warnings)  # USD's threads emit warnings in any order
+    notes += take_warnings(listener)
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
         raise WorldError(
@@ -108,6 +104,18 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     notes += _foreign_units(stage, metres)
     notes += _foreign_layers(stage, path)
     return SceneStage(stage, metres, _to_metres(stage, metres))
+
+
+def take_warnings(listener: Any, ignored: str | None = None) -> list[str]:
+    """Returns the warnings that a diagnostic delegate of USD has collected, one line each.
+
+    Args:
+        listener: delegate; it is emptied.
+        ignored: word of warnings to omit.
+    """
+    texts = (text_of(partial(getattr, one, "commentary")) for one in listener.TakeUncoalescedDiagnostics())
+    # USD's threads emit warnings in any order
+    return sorted(format_warning(text) for text in texts if ignored is None or ignored not in text)
 
 
 def _root_prims_note(stage: Any) -> str:

@@ -211,7 +211,11 @@ def _frames(triangles: Floats, normals: Floats) -> Floats:
     length = np.linalg.norm(along, axis=1, keepdims=True)
     spare = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     along = np.where(length > 1e-9, along / np.maximum(length, 1e-30), spare)
-    along -= np.einsum("ck,ck->c", along, normals)[:, None] * normals
+    flat = along - np.einsum("ck,ck->c", along, normals)[:, None] * normals
+    # the normal of a face without area is arbitrary, and its edges may be parallel to the one that it was given
+    is_steep = np.linalg.norm(flat, axis=1, keepdims=True) < 1e-9
+    other = spare - np.einsum("ck,ck->c", np.asarray(spare), normals)[:, None] * normals
+    along = np.where(is_steep, other, flat)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return np.stack((along, cross(normals, along), normals), axis=1)
 

@@ -29,6 +29,12 @@ def _facing_up(triangles: Floats) -> tuple[Floats, Floats]:
     return triangles[:, :, 2].mean(axis=1), np.where(level, doubled / 2, 0.0)
 
 
+def level_area_m2(triangles: Floats, height: float, tolerance_m: float) -> float:
+    """Returns the area of the level, upward-facing triangles within `tolerance_m` of a height, square metres."""
+    heights, areas = _facing_up(triangles)
+    return float(areas[np.abs(heights - height) <= tolerance_m].sum())
+
+
 def find_floor_height(triangles: Floats) -> float:
     """Returns the height of the floor, metres: the lowest level with a large upward-facing area.
 

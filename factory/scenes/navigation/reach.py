@@ -140,6 +140,16 @@ def tiers_of(
     return tiers
 
 
+def count_reachable(terrain: Terrain, targets: Sequence[Target]) -> int:
+    """Returns the number of targets whose success region by the surface measure is reachable."""
+    goals = [Goal.of(target, TaskConfig(success=SuccessMeasure.SURFACE)) for target in targets]
+    found = [
+        _are_reachable(terrain, Goals.of([targets[row] for row in batch], [goals[row] for row in batch]))
+        for batch in batches(goals)
+    ]
+    return int(sum(reached.sum() for reached in found))
+
+
 def _chosen(tiers: dict[Tier, Bools], place: int) -> tuple[Tier, ...]:
     return tuple(tier for tier, holds in tiers.items() if holds[place])
 

@@ -122,6 +122,39 @@ def find_candidates(
     return tuple(sorted(_search(tree, ""), key=lambda candidate: candidate.path))
 
 
+_SAME_SHARE = 0.85
+"""Two candidates of a category are one object if their boxes share this part of their union."""
+
+
+def find_copies(candidates: Sequence[Candidate]) -> dict[str, str]:
+    """Returns the path of each candidate that is drawn at the place of an earlier one of its category -> that one.
+
+    Args:
+        candidates: candidates in the order of their paths.
+    """
+    copies: dict[str, str] = {}
+    for number, later in enumerate(candidates):
+        for first in candidates[:number]:
+            if first.category == later.category and first.path not in copies and _share(first, later) >= _SAME_SHARE:
+                copies[later.path] = first.path
+                break
+    return copies
+
+
+def _share(first: Candidate, later: Candidate) -> float:
+    """Returns the volume of the intersection of two boxes as a share of their union."""
+    low, high = np.maximum(first.box[0], later.box[0]), np.minimum(first.box[1], later.box[1])
+    if (high < low).any():
+        return 0.0
+    # thin objects, such as posters, have a volume, too
+    common, one, other = (np.maximum(size, 1e-3).prod() for size in (high - low, *map(_size, (first, later))))
+    return float(common / (one + other - common))
+
+
+def _size(candidate: Candidate) -> NDArray[np.float64]:
+    return np.asarray(candidate.box[1] - candidate.box[0])
+
+
 def footprint_width(triangles: NDArray[np.float64]) -> float:
     """Returns the width of the narrowest strip of floor that contains the footprint of triangles (T, 3, 3), metres."""
     hull = np.array(footprint_of(triangles))

@@ -60,6 +60,9 @@ def test_names_of_public_assets_match_their_category(name: str, category: str) -
         "SM_Rackshield",
         "SM_BoxPortableA",
         "Staircase",
+        "CookingBench_01",
+        "cupboardLeftBoard",
+        "test_bench",
         "Wall",
     ],
 )
@@ -125,3 +128,8 @@ def test_a_missing_rule_table_is_refused_with_the_command_that_creates_one(tmp_p
 
 def test_racks_shelves_and_monitors_are_not_named_by_the_colour_of_their_content() -> None:
     assert builtin_rules().only(CATEGORIES).uncoloured == {"rack", "shelf", "monitor"}
+
+
+@pytest.mark.parametrize("name", ["cupboardLeftBoard", "Cabinet_Back_Board", "shelfBoard02", "wardrobe_board"])
+def test_a_board_of_furniture_is_no_whiteboard(name: str) -> None:
+    assert "whiteboard" not in [rule.category for rule in RULES.matches(name)]

@@ -22,6 +22,7 @@ from tests.builders.formats import (
     dae_room,
     gltf_room,
     mjcf_room,
+    picture,
     sdf_room,
     stl_room,
     urdf_room,
@@ -154,7 +155,7 @@ def test_the_error_of_a_robot_file_without_a_floor_names_the_option_that_adds_a_
     path = write(tmp_path / "room.urdf", rest)
     with pytest.raises(WorldError, match=r"--floor M"):
         import_scene(path, "room", tmp_path / "cache")
-    assert not (tmp_path / "cache").exists()
+    assert [file.name for file in (tmp_path / "cache").iterdir()] == ["room.map.png"]
     with import_scene(path, "room", tmp_path / "cache", limits=StageLimits(floor_m=0.0)).open("rb") as file:
         scene = decode_scene(file)
     assert scene.info.floor_height_m == pytest.approx(0.0, abs=1e-6)
@@ -219,11 +220,40 @@ def test_triangles_without_area_are_imported_without_an_error(tmp_path: Path) ->
     assert np.isfinite(extraction.parts[0].triangles).all()
 
 
-def test_the_error_of_a_compressed_gltf_names_its_extension_and_a_command(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("extension", "verb"),
+    [
+        ("KHR_draco_mesh_compression", "copy"),
+        ("EXT_meshopt_compression", "copy"),
+        ("KHR_texture_basisu", "ktxdecompress"),
+    ],
+)
+def test_the_error_of_a_compressed_gltf_names_its_extension_and_a_command(
+    tmp_path: Path, extension: str, verb: str
+) -> None:
+    # `npx @gltf-transform/cli copy` and `ktxdecompress` were run (4.5.1); the package `gltf-transform` does not exist
     document = gltf_room(tmp_path)
-    document.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
-    with pytest.raises(WorldError, match=r"KHR_draco_mesh_compression, not supported.*gltf-transform copy room\.glb"):
-        extract_scene(write(tmp_path / "room.glb", document.glb()))
+    document.json["extensionsRequired"] = [extension]
+    path = write(tmp_path / "my room.glb", document.glb())
+    with pytest.raises(WorldError) as caught:
+        extract_scene(path)
+    command = f"npx @gltf-transform/cli {verb} '{path}' '{tmp_path}/plain_my room.glb'"
+    assert f"it needs {extension}, not supported; export it without, or: {command}" in str(caught.value)
+
+
+@pytest.mark.parametrize("has_plain", [True, False])
+def test_a_mesh_with_optional_draco_is_read_uncompressed_or_noted_with_a_command(
+    tmp_path: Path, has_plain: bool
+) -> None:
+    document = gltf_room(tmp_path)
+    primitive = document.json["meshes"][0]["primitives"][0]
+    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    if not has_plain:
+        del document.json["accessors"][primitive["attributes"]["POSITION"]]["bufferView"]
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    noted = [note for note in extraction.notes if "npx @gltf-transform/cli copy room.glb plain_room.glb" in note]
+    assert bool(noted) is not has_plain
+    assert any(part.path == "/World/Floor" for part in extraction.parts) is has_plain
 
 
 def test_a_missing_material_library_and_material_are_noted(tmp_path: Path) -> None:
@@ -240,12 +270,76 @@ def test_the_error_of_a_pointer_of_git_lfs_names_the_command_that_downloads_the_
         extract_scene(path)
 
 
-def test_xacro_macros_are_refused_with_the_command_that_expands_them(tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "room.urdf", '<robot xmlns:xacro="http://ros.org/xacro"><xacro:include filename="a"/></robot>'
-    )
-    with pytest.raises(WorldError, match="contains xacro macros; expand them first"):
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "found", "target"),
+    [
+        ("room.urdf", '<xacro:include filename="a"/>', "line 3 contains <xacro:include>", "room_expanded.urdf"),
+        ("room.urdf", '<link name="${side}"/>', r"line 3 contains the xacro expression \${side}", "room_expanded.urdf"),
+        ("room.urdf", '<link name="$(arg side)"/>', "line 3 contains the xacro expression", "room_expanded.urdf"),
+        ("my room.urdf.xacro", '<xacro:box n="a"/>', "line 3 contains <xacro:box>", "'.*/my room.urdf'"),
+        ("room.xacro", '<xacro:box n="a"/>', "line 3 contains <xacro:box>", "room.urdf"),
+    ],
+)
+def test_xacro_macros_are_refused_with_a_command_that_writes_another_file(
+    tmp_path: Path, name: str, line: str, found: str, target: str
+) -> None:
+    # `xacro FILE -o OTHER` was run (2.1); `xacro FILE > FILE` empties the file
+    path = write(tmp_path / name, f"<robot {XACRO}>\n<!-- ${{a}} <xacro:b/> -->\n{line}</robot>")
+    with pytest.raises(WorldError, match=f"{found}.*; expand it first: xacro .*{name}'? -o .*{target}"):
         extract_scene(path)
+
+
+@pytest.mark.parametrize("declared", [XACRO, ""])
+def test_elements_of_xacro_that_are_left_in_a_link_are_ignored_with_a_note(tmp_path: Path, declared: str) -> None:
+    text = urdf_room('\n<link name="extra"><xacro:box_inertial x="1"/><sensor:ray/></link>')
+    path = write(tmp_path / "room.urdf", text.replace("<robot", f"<robot {declared}"))
+    extraction = extract_scene(path)
+    assert any(re.fullmatch(r"line \d+: <xacro:box_inertial> is not expanded, ignored", n) for n in extraction.notes)
+    assert any("prefixes without declaration" in note and "sensor" in note for note in extraction.notes)
+    assert len(extraction.parts) == len(extract_scene(write_room(tmp_path, ".urdf")).parts)
+
+
+@pytest.mark.parametrize("root", ["model.config", "model.sdf", "room.sdf"])
+def test_a_bare_ampersand_is_read_as_text_with_a_note_that_names_the_file(tmp_path: Path, root: str) -> None:
+    config = '<model><name>a</name><sdf version="1.6">model.sdf</sdf></model>'
+    texts = {"model.config": config, "model.sdf": crate(), "room.sdf": sdf_room(include("model://crate"))}
+    more = "<description>crate & lid &amp; &#38; &lid;<![CDATA[a & b]]></description></"
+    texts[root] = more.join(texts[root].rsplit("</", 1))
+    for name, text in texts.items():
+        write(tmp_path / name if name == "room.sdf" else folder_of(tmp_path, "models/crate") / name, text)
+    extraction = extract_scene(tmp_path / "room.sdf")
+    place = root if root == "room.sdf" else f"models/crate/{root}"
+    assert f"{place}: 2 bare & read as text" in extraction.notes
+    assert any("/crate/" in part.path for part in extraction.parts)
+
+
+def test_a_malformed_model_config_is_named_and_the_model_is_read_from_its_usual_file(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "models/crate")
+    write(folder / "model.config", "<model><sdf>")
+    path = write(tmp_path / "room.sdf", sdf_room(include("model://crate")))
+    with pytest.raises(WorldError, match=r"folders without an SDF file.*models/crate"):
+        extract_scene(path)
+    write(folder / "model.sdf", crate())
+    extraction = extract_scene(path)
+    (note,) = [note for note in extraction.notes if "not valid XML" in note]
+    assert note.startswith("models/crate/model.config: it is not valid XML")
+    assert note.endswith("model.sdf is read")
+    assert any("/crate/" in part.path for part in extraction.parts)
+    write(folder / "model.sdf", "<sdf>")
+    assert any("models/crate/model.sdf: it is not valid XML" in note for note in extract_scene(path).notes)
+
+
+def folder_of(folder: Path, name: str) -> Path:
+    (folder / name).mkdir(parents=True, exist_ok=True)
+    return folder / name
+
+
+def crate() -> str:
+    visual = "<visual name='v'><geometry><box><size>1 1 1</size></box></geometry></visual>"
+    return f"<sdf version='1.6'><model name='crate'><link name='l'>{visual}</link></model></sdf>"
 
 
 def test_a_loop_of_nodes_or_joints_is_refused(tmp_path: Path) -> None:
@@ -256,3 +350,83 @@ def test_a_loop_of_nodes_or_joints_is_refused(tmp_path: Path) -> None:
     joint = '<joint name="j" type="fixed"><parent link="SM_Chair_01"/><child link="base"/></joint>'
     with pytest.raises(WorldError, match="joints form a loop"):
         extract_scene(write(tmp_path / "loop.urdf", urdf_room(joint)))
+
+
+SQUARES_OBJ = """o Floor
+v -3 -3 0
+v 3 -3 0
+v 3 3 0
+v -3 3 0
+usemtl print
+f 1/1 2/1 3/1 4/1
+"""
+
+
+@pytest.mark.parametrize(
+    ("uvs", "note"),
+    [
+        ("", "texture coordinates 1 to 1 are used, but there are 0; shown without texture"),
+        ("vt 0 0\nf 1/7 2/1 3/1", "texture coordinates 1 to 7 are used, but there are 1; shown without texture"),
+        ("vt 0 0\nf 1 2 3", "textured, but some faces are without texture coordinates; shown in one colour"),
+    ],
+)
+def test_an_object_with_absent_texture_coordinates_is_drawn_without_texture_with_a_note(
+    tmp_path: Path, uvs: str, note: str
+) -> None:
+    picture(tmp_path)
+    write(tmp_path / "a.mtl", "newmtl print\nKd 0.1 0.8 0.1\nmap_Kd tiles.png\n")
+    path = write(tmp_path / "room.obj", f"mtllib a.mtl\n{SQUARES_OBJ}{uvs}\n")
+    extraction = extract_scene(path, METRES)
+    assert extraction.notes == (f"room.obj: object Floor: {note}",)
+    (part,) = extraction.parts
+    assert part.uvs is None
+    assert part.triangles[..., 2].max() == 0
+
+
+def test_texture_coordinates_and_colours_that_are_too_few_in_gltf_are_noted(tmp_path: Path) -> None:
+    document = gltf_room(tmp_path)
+    count = 0
+    for mesh in document.json["meshes"]:
+        for primitive in mesh["primitives"]:
+            attributes = primitive["attributes"]
+            attributes["COLOR_0"] = document.accessor([(1.0, 0, 0)], "VEC3", "f")
+            if "TEXCOORD_0" in attributes:
+                count += 1
+                attributes["TEXCOORD_0"] = document.accessor([(0.0, 0.0)], "VEC2", "f")
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    assert len(extraction.parts) == len(ROOM) + 2
+    assert sum("textured but without texture coordinates" in note for note in extraction.notes) == count > 0
+    assert any("1 vertex colours for" in note for note in extraction.notes)
+
+
+@pytest.mark.parametrize(("semantic", "params"), [("TEXCOORD", "ST"), ("NORMAL", "XYZ")])
+def test_a_mesh_of_collada_with_too_few_texture_coordinates_or_normals_is_kept(
+    tmp_path: Path, semantic: str, params: str
+) -> None:
+    names = "".join(f'<param name="{name}" type="float"/>' for name in params)
+    source = f"""<source id="u"><float_array id="ua" count="{len(params)}">{"0 " * len(params)}</float_array>
+        <technique_common><accessor source="#ua" count="1" stride="{len(params)}">{names}</accessor></technique_common>
+        </source><vertices"""
+    room, counts = dae_room(tmp_path).replace("<vertices", source, 1), "<vcount>4 4 4 4 4 4 </vcount>"
+    text = room.replace(counts, f'<input semantic="{semantic}" source="#u" offset="0" set="0"/>{counts}', 1)
+    assert text != room
+    extraction = extract_scene(write(tmp_path / "room.dae", text))
+    assert len(extraction.parts) == len(ROOM)
+    noted = f"room.dae {ROOM[0].name}-g: texture coordinates 0 to 7 are used, but there are 1; shown without texture"
+    assert extraction.notes == ((noted,) if semantic == "TEXCOORD" else ())
+
+
+def test_a_part_of_collada_that_cannot_be_read_is_noted(tmp_path: Path) -> None:
+    text = dae_room(tmp_path).replace(f'<instance_geometry url="#{ROOM[0].name}-g"', '<instance_geometry url="#absent"')
+    extraction = extract_scene(write(tmp_path / "room.dae", text))
+    assert len(extraction.parts) == len(ROOM) - 1
+    assert any(note.startswith("room.dae: ") and "absent" in note for note in extraction.notes)
+
+
+@pytest.mark.parametrize("mode", ["MASK", "OPAQUE", "BLEND"])
+def test_a_texture_of_gltf_that_cuts_holes_is_noted(tmp_path: Path, mode: str) -> None:
+    document = gltf_room(tmp_path)
+    for material in document.json["materials"]:
+        material["alphaMode"] = mode
+    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
+    assert any("cuts holes by alpha" in note for note in extraction.notes) is (mode == "MASK")

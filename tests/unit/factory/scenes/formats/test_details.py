@@ -251,7 +251,7 @@ def test_mjcf_resolves_defaults_includes_angles_and_proxies(tmp_path: Path) -> N
     write(
         tmp_path / "parts" / "shelf.xml",
         """<mujocoinclude><body name="shelf" pos="2 0 1" euler="0 0 90"><geom class="board" name="board"/>
-        <geom name="proxy" type="box" size="1 1 1" group="0"/></body></mujocoinclude>""",
+        <geom name="proxy" type="box" size="1 0.5 0.15" group="0"/></body></mujocoinclude>""",
     )
     geom = '<geom type="box" size="1 0.5 0.1" contype="0" conaffinity="0" group="1" rgba="1 0 0 1"/>'
     default = f'<default><default class="board">{geom}</default></default>'

@@ -209,3 +209,37 @@ def test_a_primvar_with_invalid_indices_drops_the_colour_and_keeps_the_mesh(tmp_
         int[] primvars:displayColor:indices = [0, 0, 7]"""
     extraction = extract(tmp_path, TRIANGLE.format(name="Tinted", more=tint) + BOX)
     assert {part.path for part in extraction.parts} == {"/World/Box", "/World/Tinted"}
+
+
+def test_a_material_binding_without_its_schema_is_read_without_a_warning_of_usd(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = """#usda 1.0
+(
+    defaultPrim = "Room"
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def Xform "Room"
+{
+    def Material "Paint"
+    {
+        token outputs:surface.connect = </Room/Paint/S.outputs:surface>
+        def Shader "S"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor = (0.7, 0.2, 0.2)
+            token outputs:surface
+        }
+    }
+    def Cube "Table"
+    {
+        rel material:binding = </Room/Paint>
+    }
+}
+"""
+    (tmp_path / "room.usda").write_text(text)
+    extraction = extract_stage(tmp_path / "room.usda")
+    assert capfd.readouterr() == ("", "")
+    assert extraction.notes == ()
+    assert extraction.parts[0].surface.colour[0] == pytest.approx(0.7)

@@ -13,7 +13,7 @@ from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction
 from factory.scenes.importer.extract import extract_stage
 from factory.scenes.rules import builtin_rules
-from factory.scenes.targets.candidates import find_candidates, footprint_width
+from factory.scenes.targets.candidates import Candidate, find_candidates, find_copies, footprint_width
 from tests.builders.stage import StageText, Vector3
 
 TEXT = StageText()
@@ -145,3 +145,20 @@ def test_a_bed_needs_a_plausible_size_and_may_be_named_by_a_synonym(tmp_path: Pa
 
 def test_a_name_that_fits_only_a_later_rule_by_shape_gets_the_category_of_this_rule(tmp_path: Path) -> None:
     assert found(tmp_path, TEXT.box("BedsideTable", (0, 0, 0), (1.8, 0.6, 0.7))) == [("BedsideTable", "table")]
+
+
+def placed(path: str, category: str, shift_m: float, size: tuple[float, float, float] = (2.0, 0.9, 0.8)) -> Candidate:
+    low = np.full(3, shift_m)
+    return Candidate(path, category, np.stack([low, low + size]))
+
+
+def test_candidates_of_one_category_at_one_place_are_copies_of_the_first() -> None:
+    first, copy, third = (placed(f"/{name}", "sofa", shift) for name, shift in (("a", 0.0), ("b", 0.02), ("c", 0.01)))
+    assert find_copies([first, copy, third]) == {"/b": "/a", "/c": "/a"}
+
+
+def test_neighbours_and_candidates_of_other_categories_are_no_copies() -> None:
+    first = placed("/a", "sofa", 0.0)
+    assert find_copies([first, placed("/b", "sofa", 0.3)]) == {}
+    assert find_copies([first, placed("/b", "bed", 0.0)]) == {}
+    assert find_copies([first, placed("/b", "sofa", 0.0, (1.0, 0.9, 0.8))]) == {}
