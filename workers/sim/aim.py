@@ -135,6 +135,14 @@ def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple
     return choices if len(choices) > least else ()
 
 
+def have_sentences(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> bool:
+    """Returns whether each object that could be the target from a pose has a sentence; true if the plan names it."""
+    if job.choice is None:
+        return True
+    targets = _choices(job, scene.compiled.info, renderer, pose)
+    return all(write_instruction(job.aimed_at(target), scene, pose) is not None for target in targets)
+
+
 def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
     """Returns the target and the sentence of an episode that starts at a pose.
 
