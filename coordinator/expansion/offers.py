@@ -26,20 +26,23 @@ from schemas.plan import Plan
 from schemas.scene import Target, read_geometry
 from schemas.terms import Tier
 
-_TRIES = 4
+_TRIES = 8
 """Number of starts of a group at which instructions are tried."""
 _KEPT_SCENES = 64
 
 
 def offered_groups(plan: Plan, entry: SceneEntry) -> Groups | None:
-    """Returns the groups of objects that a scene offers; `None` if the plan names its targets, or for a catalog without
-    packages, whose objects are all taken for offered."""
+    """Returns the groups of objects that a scene offers to every episode, i.e. without the features of limited share.
+
+    The result is `None` if the plan names its targets, or for a catalog without packages, whose objects are all taken
+    for offered.
+    """
     if plan.language is None or not plan.language.exchangeable or not entry.path.is_file():
         return None
     return _groups(
         entry.path,
         entry.sha256,
-        plan.language.model_dump_json(),
+        plan.language.without(plan.language.largest_shares).model_dump_json(),
         task=plan.task,
         camera=plan.camera,
         heading_noise_rad=plan.spawn.heading_noise_rad,
