@@ -82,7 +82,9 @@ _REFERRING = Plan(
     expert=ExpertName.PLANNER,
     balance="categories",
     disjoint_instances=True,
-    language=LanguageSpec(in_view=1, exchangeable=True, largest_shares={Family.ORDINAL: 0.3}),
+    language=LanguageSpec(
+        in_view=1, exchangeable=True, features={"ordinal": 3.0, "ego": 0.5}, largest_shares={Family.ORDINAL: 0.3}
+    ),
     budget=Budget(attempts_per_draw=1),
     spawn=SpawnConfig(heading_noise_rad=0.75),
     task=_BY_SURFACE,

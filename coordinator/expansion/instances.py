@@ -115,7 +115,9 @@ def _divide_groups(targets: list[Target], groups: Groups, wanted: Mapping[Side, 
 
 def _filled(train: list[Target], evaluation: list[Target], groups: Groups) -> tuple[int, int]:
     """Returns the number of tiers in which both sides have a group, and of tiers in which the training side has one."""
-    has = [[any(are_grouped(side, group) for group in each) for side in (train, evaluation)] for each in groups.values()]
+    has = [
+        [any(are_grouped(side, group) for group in each) for side in (train, evaluation)] for each in groups.values()
+    ]
     return sum(all(sides) for sides in has), sum(sides[0] for sides in has)
 
 

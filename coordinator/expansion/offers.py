@@ -15,20 +15,30 @@ import numpy as np
 
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.expansion.instances import Groups
-from coordinator.expansion.sentences import scene_language
 from schemas.config import CameraConfig, TaskConfig
 from schemas.language.compose import composer_of
-from schemas.language.exchange import ExchangeStarts, ExchangeSurvey
+from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
 from schemas.language.language_file import LanguageSpec
 from schemas.language.scene import SceneLanguage
 from schemas.plan import Plan
 from schemas.scene import Target, read_geometry
+from schemas.start_survey import ExchangeStarts, ExchangeSurvey
 from schemas.terms import Tier
 
 _TRIES = 8
 """Number of starts of a group at which instructions are tried."""
-_KEPT_SCENES = 64
+_KEPT_SCENES, _KEPT_OFFERS = 4, 64
+
+
+@functools.lru_cache(maxsize=_KEPT_SCENES)
+def scene_language(package: Path) -> SceneLanguage:
+    """Returns the scene graph of a package with its verifier; keeps the results for recently used scenes.
+
+    Raises:
+        InvalidBundle: the package is damaged.
+    """
+    return SceneLanguage(build_graph(read_geometry(package)))
 
 
 def offered_groups(plan: Plan, entry: SceneEntry) -> Groups | None:
@@ -49,7 +59,7 @@ def offered_groups(plan: Plan, entry: SceneEntry) -> Groups | None:
     )
 
 
-@functools.lru_cache(maxsize=_KEPT_SCENES)
+@functools.lru_cache(maxsize=_KEPT_OFFERS)
 def _groups(
     package: Path,
     sha256: str,  # noqa: ARG001 - part of the key of the cache

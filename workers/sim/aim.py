@@ -16,7 +16,7 @@ from schemas.language.question.meaning import Question
 from schemas.measure import Goal, target_in_view
 from schemas.scene import SceneInfo, Target
 from schemas.support.numpy_types import Floats
-from workers.experts import make_expert
+from workers.experts import Expert, make_expert
 from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.planning import Waypoint
@@ -85,6 +85,8 @@ class EpisodeAim:
     """Verified instruction; `None` if the job has a template."""
     choices: tuple[int, ...] = ()
     """Ids of the objects that could be the target; empty if the plan names it."""
+    begun: tuple[Expert, tuple[Waypoint, ...]] | None = None
+    """Expert that has begun at the start, and its path, if the search for the target has planned it."""
 
 
 def start_target(job: Job, info: SceneInfo) -> Target:
@@ -176,10 +178,12 @@ def _exchangeable_aim(
     """Returns the aim with this target; `None` if it has no sentence or path, or is not in view at the path's end."""
     aimed_job = job.aimed_at(target)
     instruction = write_instruction(aimed_job, scene, pose)
-    planned = None if instruction is None else make_expert(aimed_job).begin(pose, scene.grid, target)
+    expert = make_expert(aimed_job)
+    planned = None if instruction is None else expert.begin(pose, scene.grid, target)
     if planned is None or not ends_in_view(aimed_job, target, scene=scene, renderer=renderer, planned=planned):
         return None
-    return EpisodeAim(aimed_job, target, instruction, tuple(each.instance_id for each in targets))
+    choices = tuple(each.instance_id for each in targets)
+    return EpisodeAim(aimed_job, target, instruction, choices=choices, begun=(expert, planned))
 
 
 def ends_in_view(

@@ -23,7 +23,15 @@ from workers.experts import Expert, make_expert
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.sim.aim import EpisodeAim, ends_in_view, find_aim, have_sentences, is_view_clear, start_target, write_questions
+from workers.sim.aim import (
+    EpisodeAim,
+    ends_in_view,
+    find_aim,
+    have_sentences,
+    is_view_clear,
+    start_target,
+    write_questions,
+)
 from workers.sim.appearance import show_appearance
 from workers.sim.context import LoadedScene, SimulationContext
 from workers.sim.recording import LoadedSurroundings, add_frames, add_measurements, add_sampled_digests
@@ -102,6 +110,9 @@ def run_attempt(
             if aim is None:
                 continue
             attempt = _Attempt(aim, scene, context=context, out=out, sid=sid, on_step=on_step)
+            if aim.begun is not None:
+                expert, path = aim.begun
+                return _drive_and_seal(attempt, world, expert=expert, planned=path, draws=draws)
             expert = make_expert(aim.job)
             planned = expert.begin(world.pose(), scene.grid, aim.target)
             if planned is None:

@@ -31,8 +31,8 @@ from workers.render.choose import open_renderer
 from workers.render.prepared_scenes import KEPT_SCENES
 
 if TYPE_CHECKING:
-    from schemas.language.exchange import ExchangeSurvey
     from schemas.language.scene import SceneLanguage
+    from schemas.start_survey import ExchangeSurvey
     from workers.sensors.rays import SceneRays
 
 
@@ -91,7 +91,7 @@ class LoadedScene:
     @functools.cached_property
     def exchange(self) -> ExchangeSurvey:
         """Starts of the scene from which several objects could be the target."""
-        from schemas.language.exchange import ExchangeSurvey
+        from schemas.start_survey import ExchangeSurvey
 
         return ExchangeSurvey(self.compiled, self.language.graph)
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.job import Job
-from schemas.language.exchange import STEP_M, STEP_RAD
 from schemas.measure import Goal
 from schemas.scene import Target
+from schemas.start_survey import STEP_M, STEP_RAD
 from schemas.support import portable
 from schemas.support.numpy_types import Bools
 from schemas.terms import TIER_RANGE_M, ExpertName, Screening, SuccessMeasure, Tier

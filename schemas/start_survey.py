@@ -116,10 +116,10 @@ class ExchangeSurvey:
         away = np.array([each.centroid_m[:2] for each in targets]) - self._points[:, None]
         reach = np.array([max(each.size_m[:2]) for each in targets])
         close = np.hypot(away[..., 0], away[..., 1]) <= _FARTHEST_M + reach
-        distance = np.full(close.shape, np.inf)
-        for column, goal in enumerate(goals):
-            distance[close[:, column], column] = goal.distances(self._points[close[:, column]])
-        bearing = portable.arctan2(away[..., 1], away[..., 0])
+        distance: Floats = np.full(close.shape, np.inf)
+        for place, goal in enumerate(goals):
+            distance[close[:, place], place] = goal.distances(self._points[close[:, place]])
+        bearing: Floats = portable.arctan2(away[..., 1], away[..., 0])
         # lines of sight take most of the time, so they are traced only where two objects could be in the image
         rows = np.flatnonzero(_have_pair(distance, bearing, is_apart, heading_noise_rad))
         points, distance, bearing = self._points[rows], distance[rows], bearing[rows]
