@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.config import TaskConfig
 from schemas.language.graph.scene_graph import SceneGraph
@@ -90,7 +89,7 @@ class ExchangeSurvey:
         """
         targets = {target.instance_id: target for target in self._info.targets}
         around = self._around(targets[among[0]].category, task, heading_noise_rad)
-        columns = [around.ids.index(each) for each in among]
+        columns = np.array([around.ids.index(each) for each in among])
         low, high = TIER_RANGE_M[tier]
         in_range = (around.distance[:, columns] >= low) & (around.distance[:, columns] <= high)
         rows = np.flatnonzero(in_range.sum(axis=1) >= least)
@@ -156,5 +155,5 @@ def _lattice(scene: CompiledScene) -> Floats:
     step = max(1, round(STEP_M / resolution_m))
     first = step // 2
     rows, columns = np.nonzero(scene.reachable[first::step, first::step])
-    cells: NDArray[np.float64] = np.column_stack([columns, rows]) * step + first + 0.5
-    return np.asarray(scene.info.grid_origin_m) + cells * resolution_m
+    cells = np.column_stack([columns, rows]).astype(np.float64) * step + first + 0.5
+    return np.asarray(np.asarray(scene.info.grid_origin_m) + cells * resolution_m)

@@ -75,7 +75,7 @@ def sides_of(
     for category in sorted({target.category for target in options}):
         group = [target for target in options if target.category == category]
         group = [group[int(place)] for place in rng.permutation(len(group))]
-        sides |= _divide(plan, scene, group, wanted) if groups is None else _divide_groups(group, groups, wanted)
+        sides |= _divide(plan, scene, group, wanted) if groups is None else divide_groups(group, groups, wanted)
     return _with_all_cells_filled(plan, scene, quota=quota, options=options, sides=sides, groups=groups)
 
 
@@ -100,7 +100,7 @@ def _divide(plan: Plan, scene: ScenePlan, group: list[Target], wanted: Mapping[S
     return {target.target_id: side for target, side in zip(group, order, strict=True)}
 
 
-def _divide_groups(targets: list[Target], groups: Groups, wanted: Mapping[Side, int]) -> dict[str, Side]:
+def divide_groups(targets: list[Target], groups: Groups, wanted: Mapping[Side, int]) -> dict[str, Side]:
     """Divides the instances of one category so that both sides get whole groups in as many tiers as possible."""
     share = wanted[Side.TRAIN] / sum(wanted.values())
     grouped = frozenset().union(*(group for each in groups.values() for group in each))
