@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from schemas.config import DemonstrationConfig, InstructionConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.language.expression import Family
 from schemas.language.language_file import LanguageSpec
 from schemas.plan import PAPER_SPLITS, Budget, Plan, ScenePlan
 from schemas.terms import PAPER_SCENES, ExpertName, Screening, Split, SuccessMeasure, Tier
@@ -81,7 +82,9 @@ _REFERRING = Plan(
     expert=ExpertName.PLANNER,
     balance="categories",
     disjoint_instances=True,
-    language=LanguageSpec(in_view=1, exchangeable=True),
+    language=LanguageSpec(
+        in_view=1, exchangeable=True, features={"ordinal": 3.0, "ego": 0.5}, largest_shares={Family.ORDINAL: 0.3}
+    ),
     budget=Budget(attempts_per_draw=1),
     spawn=SpawnConfig(heading_noise_rad=0.75),
     task=_BY_SURFACE,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence, Set
 
 from coordinator.expansion.balance import layout_categories
@@ -10,7 +11,7 @@ from coordinator.expansion.scene_cells import SceneCells, categories_of, each_sc
 from schemas.errors import InvalidPlan
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import SuccessMeasure
+from schemas.terms import Split, SuccessMeasure, Tier
 
 
 def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
@@ -68,11 +69,29 @@ def faults_of(cells: SceneCells, place: str) -> Iterator[str]:
             names = ", ".join(sorted(lacking))
             yield f"{place}: cell {split} / {tier} has no start for the categories {names}, which its quota needs"
         if named[split] & cells.present and not cells.pool(split, tier):
+            if cells.groups is not None:
+                yield f"{place}: cell {split} / {tier} ({count} episodes): {_offer_message(cells, split, tier)}"
+                continue
             yield (
                 f"{place}: cell {split} / {tier} ({count} episodes) has no target with a start "
                 f"pose for the {cells.plan.expert} expert; set tiers.{tier} or splits.{split} of the scene to 0, or "
                 "change the scene"
             )
+
+
+def _offer_message(cells: SceneCells, split: Split, tier: Tier) -> str:
+    """Returns what a scene offers to a cell for which it has no start that shows several possible targets."""
+    assert cells.groups is not None
+    categories = {each.instance_id: each.category for each in cells.entry.info.targets}
+    offered = {each: len(groups) for each, groups in cells.groups.items()}
+    named = Counter(categories[next(iter(group))] for group in cells.groups[tier])
+    groups = ", ".join(f"{count} of {name}" for name, count in sorted(named.items())) or "none"
+    counts = ", ".join(f"{each} {count}" for each, count in offered.items())
+    return (
+        "no start shows several possible targets that an instruction tells apart; groups of such objects in the scene: "
+        f"{counts}; in the {tier} tier: {groups}; set tiers.{tier} or splits.{split} of the scene to 0, name other "
+        "categories in seen, or set disjoint_instances = false"
+    )
 
 
 def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:

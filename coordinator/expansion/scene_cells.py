@@ -10,7 +10,7 @@ from functools import cached_property
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cells, cells
 from coordinator.expansion.far_tiers import with_far_tiers
-from coordinator.expansion.instances import Side, Sides, side_of, sides_of, startable_tiers
+from coordinator.expansion.instances import Groups, Side, Sides, are_grouped, side_of, sides_of, startable_tiers
 from schemas.instruction.referents import referents
 from schemas.instruction.templates import FROM_START, needs_colour, say_category, templates_for
 from schemas.layouts import LayoutPlan
@@ -85,7 +85,16 @@ class SceneCells:
     @cached_property
     def sides(self) -> Sides:
         """Side of each instance (training, evaluation or both), if the plan separates instances."""
-        return sides_of(self.plan, self.scene, self.wording.targets, self.quota)
+        return sides_of(self.plan, self.scene, self.wording.targets, self.quota, self.groups)
+
+    @cached_property
+    def groups(self) -> Groups | None:
+        """Groups of objects that could be the target from one start; `None` if the plan names its targets."""
+        if self.plan.language is None or not self.plan.language.exchangeable:
+            return None
+        from coordinator.expansion.offers import offered_groups  # imported here, because it loads the grammars
+
+        return offered_groups(self.plan, self.entry)
 
     @property
     def present(self) -> frozenset[str]:
@@ -97,8 +106,15 @@ class SceneCells:
         """Returns the permitted targets of a cell.
 
         The split permits their category and side, they have a start pose for the expert in the tier, and an instruction
-        may name them.
+        may name them. If the target is drawn at the start, they belong to a group of such targets.
         """
+        permitted = self._permitted(split, tier)
+        if self.groups is None:
+            return permitted
+        whole = [group for group in self.groups[tier] if are_grouped(permitted, group)]
+        return tuple(target for target in permitted if any(target.instance_id in group for group in whole))
+
+    def _permitted(self, split: Split, tier: Tier) -> tuple[Target, ...]:
         categories = categories_of(self.scene, split)
         sides = {} if split.is_held_out else self.sides
         return tuple(

@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterable, Iterator
 from itertools import islice, zip_longest
-from pathlib import Path
 
 import numpy as np
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand_each
+from coordinator.expansion.offers import scene_language
 from coordinator.expansion.scene_cells import SceneCells, each_scene
 from schemas.language.compose import Probe, composer_of, explain_impossible
-from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
 from schemas.language.scene import SceneLanguage
 from schemas.plan import Plan
 from schemas.scene import CompiledScene, Target, read_geometry
 from schemas.support.numpy_types import Floats
 
-_KEPT_SCENES = 4
 _TARGETS, _STARTS = 12, 4
 """Largest number of targets of a scene that are tried, and of starts for each target."""
 _RANGE_M = (1.5, 7.0)
-
-
-@functools.lru_cache(maxsize=_KEPT_SCENES)
-def scene_language(package: Path) -> SceneLanguage:
-    """Returns the scene graph of a package with its verifier; keeps the results for recently used scenes.
-
-    Raises:
-        InvalidBundle: the package is damaged.
-    """
-    return SceneLanguage(build_graph(read_geometry(package)))
 
 
 def find_missing_instructions(plan: Plan, scenes: Iterable[SceneCells]) -> list[str]:

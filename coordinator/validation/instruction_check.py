@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.expansion.sentences import scene_language
+from coordinator.expansion.offers import scene_language
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.language.compose import composer_of

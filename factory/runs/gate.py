@@ -22,12 +22,12 @@ from coordinator.expansion.plan_file import shrink
 from factory.runs.gate_mode import GATE_ATTEMPTS, MIN_EPISODES_FOR_GATE, MIN_SUCCESS, GateMode
 from factory.stats.measures import share_of
 from factory.stats.statistics import Share
-from factory.support.terminal import Bars, print_table, stderr
+from factory.support.terminal import Bars, print_table, print_text, stderr
 from schemas.base import Fraction, Model
 from schemas.dataset.meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.job import Job
-from schemas.plan import Plan
+from schemas.plan import Budget, Plan
 from schemas.terms import FailReason, Recording, RendererKind, Tier
 from workers.client.settings import WorkerSettings
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
@@ -95,6 +95,8 @@ class GateReport(Model):
     reasons: dict[FailReason, int]
     lost: tuple[FailedTrial, ...]
     """Failed trials in the order of the plan."""
+    most_attempts: int
+    """Largest number of attempts at one episode of a run."""
 
 
 def gate_plans(plan: Plan, mode: GateMode) -> Iterator[Plan]:
@@ -121,6 +123,9 @@ def measure_gate(
         reports.append(report)
     if reports:
         _print_outcomes(reports)
+    for report in reports:
+        if not report.passed and mode != "enforce":
+            print_text(f"note: gate failed in {report.scene}, the run continues: {consequence_of(report)}", stderr)
     failed = [report.scene for report in reports if not report.passed]
     if failed and mode == "enforce":
         raise WorldError(
@@ -146,7 +151,7 @@ def try_scene(
     with Bars() as bar:
         task = bar.add_task(f"gate {name}", total=len(run.jobs))
         trials = run_gate(run, stop, lambda done: bar.update(task, completed=done))
-    return None if len(trials) < len(run.jobs) else evaluate_gate(name, plan.expert, trials, min_success)
+    return None if len(trials) < len(run.jobs) else evaluate_gate(name, plan.expert, trials, min_success, plan.budget)
 
 
 def run_gate(run: GateRun, stop: threading.Event, on_progress: Callable[[int], None]) -> list[Trial]:
@@ -176,7 +181,9 @@ def run_gate(run: GateRun, stop: threading.Event, on_progress: Callable[[int], N
     return trials
 
 
-def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
+def evaluate_gate(
+    scene: str, expert: str, trials: Sequence[Trial], min_success: float, budget: Budget | None = None
+) -> GateReport:
     """Counts trials by tier and reason and compares the share of successes with the required one.
 
     A crash counts as a failed attempt, because the gate measures whether episodes can be generated in the scene.
@@ -194,7 +201,7 @@ def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success:
         for trial in sorted(trials, key=lambda trial: trial.job.index)
         if trial.reason is not None
     ]
-    success = share_of(won.total(), len(trials))
+    success, budget = share_of(won.total(), len(trials)), budget or Budget()
     return GateReport(
         scene=scene,
         expert=expert,
@@ -204,6 +211,18 @@ def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success:
         by_tier={tier: share_of(won[tier], tried[tier]) for tier in Tier if tried[tier]},
         reasons=dict(sorted(Counter(row.reason for row in lost).items())),
         lost=tuple(lost),
+        most_attempts=budget.draws * budget.attempts_per_draw,
+    )
+
+
+def consequence_of(report: GateReport) -> str:
+    """Returns what a run needs if all its attempts in a scene succeed as often as those of the gate."""
+    rate, most = report.success.share or 0.0, report.most_attempts
+    if rate == 0:
+        return f"no attempt succeeded; an episode fails after {most} attempts, so probably all fail"
+    return (
+        f"about {1 / rate:.1f} attempts for each episode, i.e. {1 / rate - 1:.1f} failed ones; an episode fails after "
+        f"{most} attempts, which happens to about {100 * (1 - rate) ** most:.2g} % of the episodes"
     )
 
 
@@ -220,6 +239,8 @@ def print_gate(report: GateReport) -> None:
     required = f"{100 * report.min_success:g} % required"
     success = f"{_percent(report.success, 1)} of first attempts succeeded"
     click.echo(f"{report.scene}, {report.expert} expert: {verdict}; {success}, {required}")
+    if not report.passed:
+        click.echo(f"a run needs {consequence_of(report)}" if report.success.count else consequence_of(report))
 
 
 def _print_outcomes(reports: list[GateReport]) -> None:

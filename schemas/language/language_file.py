@@ -5,11 +5,12 @@ Errors name the key of every mistake.
 
 from __future__ import annotations
 
+import math
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
@@ -47,6 +48,8 @@ Paraphrases = Annotated[
     Field(max_length=8),
 ]
 """Sentence patterns by language and register."""
+LargestShares = Annotated[dict[Family, Fraction], Field(max_length=len(Family))]
+"""Largest share of sentences by feature."""
 Mistakes = Annotated[dict[MistakeKind, Fraction], Field(max_length=len(MistakeKind))]
 """Share of sentences by kind of error."""
 
@@ -95,6 +98,8 @@ class LanguageSpec(Model):
     exchangeable: bool = Field(default=False, exclude_if=lambda it: not it)
     """Whether a plan draws the target of an episode when the episode starts, from the objects of its category that
     could be the target from the start pose; `in_view` counts these objects. Omitted if false."""
+    largest_shares: LargestShares = Field(default_factory=dict, exclude_if=lambda it: not it)
+    """Largest share of the episodes of a plan whose sentences may have a feature, by feature; omitted if empty."""
     questions: bool = Field(default=False, exclude_if=lambda it: not it)
     """Whether each episode gets questions with computed answers; omitted if false."""
     false_premises: Fraction = 0.0
@@ -158,6 +163,29 @@ class LanguageSpec(Model):
         if self.fit == "any" and self.redundant:
             raise ValueError("`redundant` is for instructions that fit one object; set it to 0, or set `fit` to 'one'")
         return self
+
+    def without(self, families: Iterable[Family]) -> Self:
+        """Returns the spec without some features and without `largest_shares`."""
+        return self.model_copy(
+            update={"features": {**self.features, **dict.fromkeys(families, 0.0)}, "largest_shares": {}}
+        )
+
+    def of_episode(self, index: int) -> Self:
+        """Returns the spec of one episode of a plan, without the features that its share does not permit.
+
+        Of the first n episodes, at most n times the share (plus one, except for the first feature) have the feature.
+
+        Args:
+            index: number of the episode, from 1.
+        """
+        if not self.largest_shares:
+            return self
+        phases = {family: place / len(self.largest_shares) for place, family in enumerate(self.largest_shares)}
+        return self.without(
+            family
+            for family, share in self.largest_shares.items()
+            if math.floor(index * share + phases[family]) == math.floor((index - 1) * share + phases[family])
+        )
 
     @property
     def least_others(self) -> int:

@@ -16,7 +16,7 @@ from schemas.language.question.meaning import Question
 from schemas.measure import Goal, target_in_view
 from schemas.scene import SceneInfo, Target
 from schemas.support.numpy_types import Floats
-from workers.experts import make_expert
+from workers.experts import Expert, make_expert
 from workers.experts.planner import STOPPED_M, arrival_pose
 from workers.geometry.pose import Pose
 from workers.planning import Waypoint
@@ -85,6 +85,8 @@ class EpisodeAim:
     """Verified instruction; `None` if the job has a template."""
     choices: tuple[int, ...] = ()
     """Ids of the objects that could be the target; empty if the plan names it."""
+    begun: tuple[Expert, tuple[Waypoint, ...]] | None = None
+    """Expert that has begun at the start, and its path, if the search for the target has planned it."""
 
 
 def start_target(job: Job, info: SceneInfo) -> Target:
@@ -135,6 +137,14 @@ def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple
     return choices if len(choices) > least else ()
 
 
+def have_sentences(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> bool:
+    """Returns whether each object that could be the target from a pose has a sentence; true if the plan names it."""
+    if job.choice is None:
+        return True
+    targets = _choices(job, scene.compiled.info, renderer, pose)
+    return all(write_instruction(job.aimed_at(target), scene, pose) is not None for target in targets)
+
+
 def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
     """Returns the target and the sentence of an episode that starts at a pose.
 
@@ -168,10 +178,12 @@ def _exchangeable_aim(
     """Returns the aim with this target; `None` if it has no sentence or path, or is not in view at the path's end."""
     aimed_job = job.aimed_at(target)
     instruction = write_instruction(aimed_job, scene, pose)
-    planned = None if instruction is None else make_expert(aimed_job).begin(pose, scene.grid, target)
+    expert = make_expert(aimed_job)
+    planned = None if instruction is None else expert.begin(pose, scene.grid, target)
     if planned is None or not ends_in_view(aimed_job, target, scene=scene, renderer=renderer, planned=planned):
         return None
-    return EpisodeAim(aimed_job, target, instruction, tuple(each.instance_id for each in targets))
+    choices = tuple(each.instance_id for each in targets)
+    return EpisodeAim(aimed_job, target, instruction, choices=choices, begun=(expert, planned))
 
 
 def ends_in_view(

@@ -23,7 +23,15 @@ from workers.experts import Expert, make_expert
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
-from workers.sim.aim import EpisodeAim, ends_in_view, find_aim, is_view_clear, start_target, write_questions
+from workers.sim.aim import (
+    EpisodeAim,
+    ends_in_view,
+    find_aim,
+    have_sentences,
+    is_view_clear,
+    start_target,
+    write_questions,
+)
 from workers.sim.appearance import show_appearance
 from workers.sim.context import LoadedScene, SimulationContext
 from workers.sim.recording import LoadedSurroundings, add_frames, add_measurements, add_sampled_digests
@@ -89,7 +97,12 @@ def run_attempt(
         scene.compiled, job.camera
     )  # loaded before the world is built, because both can need much memory
     is_clear = partial(is_view_clear, job, scene.compiled.info, context.renderer)
-    for draws, start in enumerate(draw_poses(job, target, scene=scene, rng=rng, accepts=is_clear), 1):
+
+    def accepts(pose: Pose) -> bool:
+        # many choices of targets lack a sentence, so sentences are tested before the physics
+        return is_clear(pose) and have_sentences(job, scene, context.renderer, pose)
+
+    for draws, start in enumerate(draw_poses(job, target, scene=scene, rng=rng, accepts=accepts), 1):
         with World(scene.compiled, scene.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue
@@ -97,6 +110,9 @@ def run_attempt(
             if aim is None:
                 continue
             attempt = _Attempt(aim, scene, context=context, out=out, sid=sid, on_step=on_step)
+            if aim.begun is not None:
+                expert, path = aim.begun
+                return _drive_and_seal(attempt, world, expert=expert, planned=path, draws=draws)
             expert = make_expert(aim.job)
             planned = expert.begin(world.pose(), scene.grid, aim.target)
             if planned is None:

@@ -32,6 +32,7 @@ from workers.render.prepared_scenes import KEPT_SCENES
 
 if TYPE_CHECKING:
     from schemas.language.scene import SceneLanguage
+    from schemas.start_survey import ExchangeSurvey
     from workers.sensors.rays import SceneRays
 
 
@@ -86,6 +87,13 @@ class LoadedScene:
         from schemas.language.scene import SceneLanguage
 
         return SceneLanguage(build_graph(self.compiled))
+
+    @functools.cached_property
+    def exchange(self) -> ExchangeSurvey:
+        """Starts of the scene from which several objects could be the target."""
+        from schemas.start_survey import ExchangeSurvey
+
+        return ExchangeSurvey(self.compiled, self.language.graph)
 
     @functools.cached_property
     def rays(self) -> SceneRays:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from schemas.job import Job
 from schemas.measure import Goal
 from schemas.scene import Target
+from schemas.start_survey import STEP_M, STEP_RAD
 from schemas.support import portable
 from schemas.support.numpy_types import Bools
 from schemas.terms import TIER_RANGE_M, ExpertName, Screening, SuccessMeasure, Tier
@@ -82,6 +83,8 @@ straight, also the largest number of starts whose path is predicted, in all tier
 space `_PREDICTION_MARGIN_M`, the start of the path with the most free space is selected."""
 _REJECTIONS = 256
 """Number of rejected views of otherwise valid starts after which the search for a start ends."""
+_PROPOSALS = 96
+"""Number of proposed starts that are tested if the target is drawn at the start."""
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
@@ -106,7 +109,8 @@ def draw_poses(
     far tier, the function draws a uniform heading and a surveyed floor point whose distance along the floor is within
     `job.spawn.far_floor_m`. For experts that drive straight, `job.spawn.screening` sets more conditions. The planner
     can start at any of these poses from which it sees its target (near and mid tiers) or its path is not too long (far
-    tier).
+    tier). If the target is drawn at the start, the poses are drawn from those of the scene from which several objects
+    could be the target.
 
     Args:
         job: job, with tier, expert and spawn settings.
@@ -117,6 +121,9 @@ def draw_poses(
             draw ends after the condition has rejected `_REJECTIONS` candidates.
     """
     z = scene.compiled.info.floor_height_m
+    if job.choice is not None:
+        yield from itertools.islice(_draw_exchangeable(job, target, scene, rng, accepts), job.spawn.physics_draws)
+        return
     for _ in range(job.spawn.physics_draws):
         pose = _draw_on_grid(job, target, scene=scene, rng=rng, accepts=lambda start: accepts(Pose.planar(*start, z=z)))
         if pose is None:
@@ -140,6 +147,27 @@ def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
         world.step()
     after = world.pose()
     return math.hypot(after.x - pose.x, after.y - pose.y) <= spawn.max_displacement_m
+
+
+def _draw_exchangeable(
+    job: Job, target: Target, scene: LoadedScene, rng: np.random.Generator, accepts: Callable[[Pose], bool]
+) -> Iterator[Pose]:
+    """Yields starts from which several objects, one of them `target`, could be the target of the episode."""
+    # Design: docs/design/starts.md#searched-starts.
+    assert job.choice is not None
+    assert job.start_view is not None
+    among, least = job.choice.among, job.start_view.least_same_category + 1
+    noise_rad = job.spawn.heading_noise_rad
+    proposals = scene.exchange.starts(among, job.tier, least=least, heading_noise_rad=noise_rad, task=job.task)
+    poses = proposals.of(among.index(target.instance_id)).poses
+    if len(poses) == 0:
+        return
+    poses = poses[rng.integers(len(poses), size=_PROPOSALS)]
+    poses = poses + rng.uniform(-0.5, 0.5, poses.shape) * (STEP_M, STEP_M, STEP_RAD)
+    for x, y, yaw in poses[_can_start(job, target, scene, poses)].tolist():
+        pose = Pose.planar(x, y, math.remainder(yaw, 2 * math.pi), z=scene.compiled.info.floor_height_m)
+        if accepts(pose):
+            yield pose
 
 
 def _draw_on_grid(

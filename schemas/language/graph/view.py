@@ -27,6 +27,8 @@ _STEP_CELLS = 1.5
 _TALL_M = 0.6
 """An object is surely visible only if the part of it within the vertical range of the image has this height, metres, or
 half of the object's height if that is less."""
+_CHUNK = 512
+"""Number of objects to which lines of sight are traced at once, which limits the memory."""
 _POINTS = np.array([(0.0, 0.0), (-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)])
 """Ends of the lines of sight to an object: offsets from its centre, as shares of its half width and half length."""
 
@@ -105,6 +107,24 @@ def look(graph: SceneGraph, pose: tuple[float, float, float], camera: CameraConf
     )
 
 
+def have_sight(graph: SceneGraph, eyes: Floats, numbers: NDArray[np.intp]) -> Bools:
+    """Returns whether a part of each object would surely be visible from a point if the camera faced it.
+
+    Args:
+        graph: scene graph.
+        eyes: (K, 2) x, y of the camera, metres.
+        numbers: (K,) numbers of the objects.
+    """
+    parts = [np.zeros(0, bool)]
+    for first in range(0, len(eyes), _CHUNK):
+        eye, chosen = eyes[first : first + _CHUNK], numbers[first : first + _CHUNK]
+        low, high = graph.low[chosen, :2], graph.high[chosen, :2]
+        ways = ((low + high) / 2 - eye)[:, None] + _POINTS * ((high - low) / 2)[:, None]
+        blocked = _blocked(graph, eye, ways=ways, low=low - _BEFORE_M, high=high + _BEFORE_M)
+        parts.append(np.asarray((blocked == 0).mean(axis=1) >= SHOWN))
+    return np.concatenate(parts)
+
+
 def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:
     """Returns whether at least `_TALL_M` or half the height of each object is within the vertical range of the image.
 
@@ -124,7 +144,7 @@ def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Fl
 
     Args:
         graph: scene graph.
-        eye: start of the lines, metres.
+        eye: (2,) or (K, 2) start of the lines, metres.
         ways: (K, 5, 2) vectors from the eye to the ends of the lines, metres.
         low: (K, 2) lower corners of the rectangles.
         high: (K, 2) upper corners of the rectangles.
@@ -133,13 +153,13 @@ def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Fl
     with np.errstate(divide="ignore", invalid="ignore"):
         sides = (np.stack((low, high)) - eye)[:, :, None] / ways  # share of each line at which it crosses each side
     entered = np.nan_to_num(np.minimum(*sides), nan=0.0).max(axis=-1).clip(0.0, 1.0)
-    start = (eye - np.asarray(grid.origin_m)) / grid.resolution_m
+    start = np.broadcast_to((eye - np.asarray(grid.origin_m)) / grid.resolution_m, (len(ways), 2))
     steps = (ways * (entered / grid.resolution_m)[..., None]).astype(np.float32)
     count = max(2, math.ceil(float(np.abs(steps).max()) / _STEP_CELLS))
     share = ((np.arange(count) + 0.5) / count).astype(np.float32)
     rows, columns = grid.values.shape
-    row = np.float32(start[1]) + steps[..., 1, None] * share
-    column = np.float32(start[0]) + steps[..., 0, None] * share
+    row = start[:, 1, None, None].astype(np.float32) + steps[..., 1, None] * share
+    column = start[:, 0, None, None].astype(np.float32) + steps[..., 0, None] * share
     if not _are_inside(start, steps, rows, columns):
         row, column = row.clip(0, rows - 1), column.clip(0, columns - 1)
     cells = row.astype(np.int32)
@@ -151,5 +171,6 @@ def _blocked(graph: SceneGraph, eye: Floats, ways: Floats, low: Floats, high: Fl
 def _are_inside(start: Floats, steps: NDArray[np.float32], rows: int, columns: int) -> bool:
     """Returns whether both ends of all lines, in cells, are within the grid."""
     flat = steps.reshape(-1, 2)
-    low, high = start + flat.min(axis=0), start + flat.max(axis=0)
-    return bool((np.minimum(low, start) >= 0).all() and (np.maximum(high, start) < (columns - 1, rows - 1)).all())
+    first, last = start.min(axis=0), start.max(axis=0)
+    low, high = first + flat.min(axis=0), last + flat.max(axis=0)
+    return bool((np.minimum(low, first) >= 0).all() and (np.maximum(high, last) < (columns - 1, rows - 1)).all())

@@ -6,14 +6,17 @@ import pytest
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.draw import expand, redraw, to_job
+from coordinator.expansion.instances import Side, divide_groups
 from coordinator.expansion.plan_file import parse_plan, plan_to_toml
 from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.summary import summarise
 from schemas.errors import InvalidPlan
 from schemas.instruction.templates import FROM_START
 from schemas.language.compose import explain_impossible
+from schemas.language.expression import Family
 from schemas.language.language_file import LanguageSpec
 from schemas.plan import Plan
+from schemas.terms import Tier
 from tests.builders.catalog import make_entry, make_target
 from tests.builders.language import number_at, two_rooms, views
 
@@ -104,6 +107,21 @@ def test_the_target_is_drawn_at_the_start_among_the_permitted_objects_of_its_cat
     again = to_job(plan, catalog, redraw(plan, catalog, planned[0]), 7)
     assert again.choice is not None
     assert again.choice.share == choices[0].share
+
+
+def test_a_feature_of_limited_share_is_permitted_in_that_share_of_the_episodes():
+    spec = LanguageSpec(largest_shares={Family.ORDINAL: 0.3})
+    permitted = [Family.ORDINAL in spec.of_episode(index).families for index in range(1, 101)]
+    assert sum(permitted) == 30
+    assert sum(permitted[:10]) == 3
+    assert spec.of_episode(1).largest_shares == {}
+
+
+def test_both_sides_of_a_plan_get_whole_groups_of_exchangeable_objects():
+    targets = [make_target("chair", n, n) for n in range(1, 7)]
+    groups = {Tier.NEAR: (frozenset({1, 4}), frozenset({2, 6})), Tier.MID: (frozenset({1, 4}), frozenset({2, 6}))}
+    sides = divide_groups(targets, groups, {Side.TRAIN: 30, Side.EVALUATION: 30})
+    assert sides["chair_001"] == sides["chair_004"] != sides["chair_002"] == sides["chair_006"]
 
 
 def test_the_error_of_a_language_block_that_no_target_satisfies_lists_the_possible_features():

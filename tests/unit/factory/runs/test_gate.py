@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from factory.runs.gate import GateRun, Trial, evaluate_gate, run_gate
+from factory.runs.gate import GateRun, Trial, consequence_of, evaluate_gate, run_gate
 from schemas.errors import WorldError
+from schemas.plan import Budget
 from schemas.support.child import python_module
 from schemas.terms import FailReason, Tier
 from tests.builders.bundle import job_for
@@ -100,3 +101,12 @@ def test_the_gate_passes_at_the_required_share(min_success: float, passed: bool)
 
 def test_a_gate_run_without_trials_does_not_pass() -> None:
     assert not evaluate_gate("office", "proportional", [], 0.0).passed
+
+
+def test_a_failed_gate_says_how_many_attempts_and_failed_episodes_follow() -> None:
+    budget = Budget(attempts_per_draw=1, draws=2)
+    trials = [Trial(job_for(1)), Trial(job_for(2), FailReason.SPAWN, "")]
+    text = consequence_of(evaluate_gate("office", "planner", trials, 0.8, budget))
+    assert "about 2.0 attempts for each episode" in text
+    assert "after 2 attempts, which happens to about 25 % of the episodes" in text
+    assert "no attempt succeeded" in consequence_of(evaluate_gate("office", "planner", trials[1:], 0.8, budget))
