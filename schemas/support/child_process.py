@@ -154,7 +154,7 @@ class ChildProcess(Closing, Generic[M]):
                 command,
                 bufsize=0,
                 stdin=theirs.fileno(),
-                stdout=sys.stderr if self._parse is None else subprocess.PIPE,
+                stdout=_error_output() if self._parse is None else subprocess.PIPE,
                 stderr=subprocess.DEVNULL if self._stderr == "discard" else kept,
                 pass_fds=descriptors,
                 env=environment,
@@ -405,6 +405,14 @@ class _Lines(Generic[M]):
         line = bytes(self._unread[:end])
         del self._unread[:end]
         return line
+
+
+def _error_output() -> int:
+    """Returns the descriptor of stderr; in a notebook, whose `sys.stderr` is no file, that of the process."""
+    try:
+        return sys.stderr.fileno()
+    except (AttributeError, OSError, ValueError):
+        return 2
 
 
 def _file_to_append() -> IO[bytes]:
