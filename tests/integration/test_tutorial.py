@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from factory.cli.main import cli
 from tests.builders.needs_torch import needs_torch
 from tests.builders.pages import ROOT, blocks, factory_lines
 
@@ -31,10 +31,11 @@ def test_the_tutorial_ends_with_an_evaluated_policy(
     Path("hour.toml").write_text(plan.replace("episodes = 300", "episodes = 10"))
     verbs = []
     for words in factory_lines(PAGE):
-        done = CliRunner().invoke(cli, [SMALLER.get(word, word) for word in words])
-        assert done.exit_code == 0, f"{words}: {done.output} {done.exception!r}"
+        command = [sys.executable, "-m", "factory", *(SMALLER.get(word, word) for word in words)]
+        done = subprocess.run(command, capture_output=True, text=True)  # torch and OpenGL crash in one process
+        assert done.returncode == 0, f"{words}: {done.stdout} {done.stderr}"
         verbs.append(words[0])
     assert verbs == ["plan", "run", "stats", "show", "train", "eval", "eval"]
     assert Path("drive.mp4").stat().st_size > 10_000
     results = json.loads(Path("results/results.json").read_text())
-    assert {row["policy"] for row in results["overall"]} >= {"bc:policy", "expert", "random"}
+    assert {row["policy"] for row in results["policies"]} == {"bc:policy", "expert", "random"}
