@@ -36,12 +36,26 @@ REASON = why_no_chromium()
 pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
 
 _PAGES = (
-    *("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/{scene}", "/scenes/{scene}/3d?episode=ep_000001"),
+    *(
+        "/",
+        "/gallery",
+        "/farm",
+        "/episodes",
+        "/episodes/ep_000001",
+        "/scenes",
+        "/scenes/{scene}",
+        "/scenes/{scene}/3d?episode=ep_000001",
+    ),
     *("/statistics", "/evaluations", "/evaluations/results?first=a&second=b", "/operations/retry", "/login"),
     "/episodes/ep_9",
 )
 _FILES = (
-    *("/episodes/ep_000001/mask.svg", "/episodes/ep_000001/playback/0", "/episodes/ep_000001/download/zip"),
+    *(
+        "/episodes/ep_000001/thumbnail.jpg",
+        "/episodes/ep_000001/mask.svg",
+        "/episodes/ep_000001/playback/0",
+        "/episodes/ep_000001/download/zip",
+    ),
     *("/episodes/ep_000001/objects.json", "/scenes/{scene}/failures.svg", "/evaluations/results/films/0/ep_000001.jpg"),
 )
 """Files that pages load only after a click, or only for some datasets."""

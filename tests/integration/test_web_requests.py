@@ -32,7 +32,17 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.web import WebClient, web_page
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
-PAGES = ("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/office", "/statistics", "/operations/retry")
+PAGES = (
+    "/",
+    "/gallery",
+    "/farm",
+    "/episodes",
+    "/episodes/ep_000001",
+    "/scenes",
+    "/scenes/office",
+    "/statistics",
+    "/operations/retry",
+)
 
 
 @pytest.fixture(scope="module")

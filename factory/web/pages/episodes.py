@@ -13,6 +13,8 @@ from starlette.routing import Route
 from factory.web.context import WebContext, context_of, page
 from factory.web.frames import first_frames
 from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_query, read_first_rows
+from factory.web.thumbnails import dataset_version, thumbnail_urls
+from schemas.terms import Recording
 
 PAGE_ROWS = 50
 """Number of episodes on a page."""
@@ -23,6 +25,7 @@ _PATIENCE_S = 0.1
 """Maximum wait for the first reading of the table, seconds; after it, the page shows the first rows only."""
 _SHOWN = (
     ("episode_id", "episode"),
+    ("instruction", "instruction"),
     ("scene", "scene"),
     ("split", "split"),
     ("spawn_tier", "tier"),
@@ -30,7 +33,6 @@ _SHOWN = (
     ("num_steps", "steps"),
     ("trajectory_length_m", "TL, m"),
     ("final_ne_m", "NE, m"),
-    ("instruction", "instruction"),
 )
 """Columns of the table with their titles."""
 
@@ -59,6 +61,8 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
     rows = table.rows(selected[query.page * PAGE_ROWS : (query.page + 1) * PAGE_ROWS])
     last = max(0, (len(selected) - 1) // PAGE_ROWS)
     prepare_scenes(context, rows)
+    has_pictures = _is_cheap_to_picture(context, table)
+    pictures = thumbnail_urls(rows, dataset_version(table.dataset.meta)) if has_pictures else [""] * len(rows)
     return page(
         request,
         "episodes",
@@ -66,10 +70,15 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
         query=query,
         count=len(selected),
         total=len(table),
-        rows=[(_cells(row), marks.get(row["episode_id"])) for row in rows],
+        rows=list(zip(map(_cells, rows), [marks.get(row["episode_id"]) for row in rows], pictures, strict=True)),
+        has_pictures=has_pictures,
+        gallery=query_url("/gallery", query, page=0),
         heads=list(_heads(query)),
         choices=[(name, table.values(column), query.filters.get(name, "")) for name, column in FILTERS.items()],
-        pages=[(text, _link(query, page=at), at == query.page) for text, at in _pages(query.page, last)],
+        pages=[
+            (text, query_url("/episodes", query, page=at), at == query.page)
+            for text, at in page_links(query.page, last)
+        ],
         last=last,
     )
 
@@ -82,6 +91,11 @@ def prepare_scenes(context: WebContext, rows: Sequence[Mapping[str, Any]]) -> No
         context.frames.prepare(shown)
     elif not context.frames.has_prepared:
         context.frames.prepare(shown[:1])
+
+
+def _is_cheap_to_picture(context: WebContext, table: EpisodeTable) -> bool:
+    """Returns whether the table shows thumbnails: not where they must be rendered beside a run (`prepare_scenes`)."""
+    return table.dataset.meta.plan.record is Recording.FRAMES or not context.workspace.is_written()
 
 
 def _cells(row: Mapping[str, Any]) -> list[tuple[str, bool]]:
@@ -101,18 +115,26 @@ def _heads(query: TableQuery) -> Iterator[tuple[str, str, str]]:
     for name, title in _SHOWN:
         is_sorted = name == query.sort
         direction = "" if not is_sorted else "descending" if query.descending else "ascending"
-        link = _link(query, page=0, sort=name, descending=is_sorted and not query.descending)
+        link = query_url("/episodes", query, page=0, sort=name, descending=is_sorted and not query.descending)
         yield title, link if name in SORTED else "", direction
 
 
-def _link(query: TableQuery, **changes: Any) -> str:
+def query_url(path: str, query: TableQuery, **changes: Any) -> str:
+    """Returns the URL of a page with a selection, after changes of `page`, `sort` or `descending`."""
     state = {"page": query.page, "sort": query.sort, "descending": query.descending, **changes}
-    fields = {**query.filters, "q": query.text, "flagged": "1" if query.flagged else "", "sort": state["sort"]}
+    fields = {
+        **query.filters,
+        "q": query.text,
+        "flagged": "1" if query.flagged else "",
+        "sort": state["sort"] if state["sort"] != TableQuery.sort else "",
+    }
     fields |= {"order": "desc" if state["descending"] else "", "page": state["page"] or ""}
-    return "/episodes?" + urlencode({name: value for name, value in fields.items() if value != ""})
+    chosen = urlencode({name: value for name, value in fields.items() if value != ""})
+    return f"{path}?{chosen}" if chosen else path
 
 
-def _pages(here: int, last: int) -> Iterator[tuple[str, int]]:
+def page_links(here: int, last: int) -> Iterator[tuple[str, int]]:
+    """Yields title and number of the pages that a page links to."""
     if here > 0:
         yield from (("first", 0), ("previous", min(here, last + 1) - 1))
     if here < last:
