@@ -10,11 +10,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from factory.html.measures import PLACES
 from factory.web.context import WebContext, context_of, page
 from factory.web.frames import first_frames
 from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_query, read_first_rows
 from factory.web.thumbnails import dataset_version, thumbnail_urls
-from schemas.terms import Recording
+from schemas.terms import Recording, SuccessMeasure
 
 PAGE_ROWS = 50
 """Number of episodes on a page."""
@@ -32,9 +33,14 @@ _SHOWN = (
     ("target_category", "category"),
     ("num_steps", "steps"),
     ("trajectory_length_m", "TL, m"),
-    ("final_ne_m", "NE, m"),
 )
-"""Columns of the table with their titles."""
+"""Columns of the table with their titles; the navigation error follows them (`shown_columns`)."""
+_ERRORS = {SuccessMeasure.CENTROID: "final_ne_m", SuccessMeasure.SURFACE: "final_surface_m"}
+
+
+def shown_columns(success: SuccessMeasure) -> tuple[tuple[str, str], ...]:
+    """Returns columns and titles of the table. Its navigation error is the one that decides about success."""
+    return (*_SHOWN, (_ERRORS[success], f"NE to the {PLACES[success]}, m"))
 
 
 def routes() -> list[Route]:
@@ -48,14 +54,17 @@ def show(request: Request) -> Response:
     if table is None and context.workspace.site.store is None and query == TableQuery():
         first = read_first_rows(context.workspace.root, PAGE_ROWS)
         if first is not None and first.total >= LARGE_ROWS:
-            rows = [_cells(row) for row in first.rows]
-            return page(request, "first_episodes", "Episodes", total=first.total, heads=_SHOWN, rows=rows)
+            meta = context.workspace.meta()
+            shown = shown_columns(meta.plan.task.success if meta else SuccessMeasure.CENTROID)
+            rows = [_cells(row, shown) for row in first.rows]
+            return page(request, "first_episodes", "Episodes", total=first.total, heads=shown, rows=rows)
     return _show_table(request, query, table or context.workspace.table())
 
 
 def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Response:
     context = context_of(request)
     marks = context.marks.read()
+    shown = shown_columns(table.dataset.meta.plan.task.success)
     flagged = {name for name, mark in marks.items() if mark.flagged}
     selected = table.select(query, flagged)
     rows = table.rows(selected[query.page * PAGE_ROWS : (query.page + 1) * PAGE_ROWS])
@@ -70,10 +79,17 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
         query=query,
         count=len(selected),
         total=len(table),
-        rows=list(zip(map(_cells, rows), [marks.get(row["episode_id"]) for row in rows], pictures, strict=True)),
+        rows=list(
+            zip(
+                [_cells(row, shown) for row in rows],
+                [marks.get(row["episode_id"]) for row in rows],
+                pictures,
+                strict=True,
+            )
+        ),
         has_pictures=has_pictures,
         gallery=query_url("/gallery", query, page=0),
-        heads=list(_heads(query)),
+        heads=list(_heads(query, shown)),
         choices=[(name, table.values(column), query.filters.get(name, "")) for name, column in FILTERS.items()],
         pages=[
             (text, query_url("/episodes", query, page=at), at == query.page)
@@ -98,21 +114,25 @@ def _is_cheap_to_picture(context: WebContext, table: EpisodeTable) -> bool:
     return table.dataset.meta.plan.record is Recording.FRAMES or not context.workspace.is_written()
 
 
-def _cells(row: Mapping[str, Any]) -> list[tuple[str, bool]]:
+def _cells(row: Mapping[str, Any], shown: Sequence[tuple[str, str]]) -> list[tuple[str, bool]]:
     """Returns for each shown column the text of the cell, and whether it is a number."""
-    values = [row[name] for name, _ in _SHOWN]
+    values = [row.get(name) for name, _ in shown]
     return [
-        (f"{value:.2f}" if isinstance(value, float) else str(value), not isinstance(value, str)) for value in values
+        (
+            f"{value:.2f}" if isinstance(value, float) else "–" if value is None else str(value),
+            not isinstance(value, str),
+        )
+        for value in values
     ]
 
 
-def _heads(query: TableQuery) -> Iterator[tuple[str, str, str]]:
+def _heads(query: TableQuery, shown: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
     """Yields title, link and direction of sorting of each column.
 
     The link is empty if the table cannot be sorted by the column. The direction is empty if the table is not sorted
     by the column.
     """
-    for name, title in _SHOWN:
+    for name, title in shown:
         is_sorted = name == query.sort
         direction = "" if not is_sorted else "descending" if query.descending else "ascending"
         link = query_url("/episodes", query, page=0, sort=name, descending=is_sorted and not query.descending)
