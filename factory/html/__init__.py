@@ -11,6 +11,7 @@ import functools
 import re
 from typing import TYPE_CHECKING
 
+from factory.html.measures import define
 from factory.html.palette import css_variables
 
 if TYPE_CHECKING:
@@ -63,5 +64,6 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["units"] = join_units
+    environment.filters["define"] = define
     environment.globals |= {"light": css_variables(dark=False), "dark": css_variables(dark=True)}
     return environment

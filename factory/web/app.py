@@ -26,12 +26,23 @@ from factory.web.access import Access
 from factory.web.context import FarmView, WebContext, page
 from factory.web.forms import read_form
 from factory.web.guard import RequestGuard, signed_in
-from factory.web.pages import episode, episodes, evaluation, farm, operations, scene3d, scenes, statistics
+from factory.web.pages import (
+    episode,
+    episodes,
+    evaluation,
+    farm,
+    gallery,
+    home,
+    operations,
+    scene3d,
+    scenes,
+    statistics,
+)
 from factory.web.pages.find import NoEpisode
 from factory.web.recent import Recent
 from schemas.errors import FactoryError, UsageError
 
-_PAGES = (episodes, episode, scenes, scene3d, statistics, evaluation, operations)
+_PAGES = (home, gallery, episodes, episode, scenes, scene3d, statistics, evaluation, operations)
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 

@@ -16,17 +16,19 @@ from factory.web.figures.store import StatisticsStore
 from factory.web.floors import FloorStore
 from factory.web.frames import FrameStore
 from factory.web.recent import Recent
+from factory.web.thumbnails import ThumbnailStore
 from factory.web.workspace import Workspace
 from schemas.protocol.administration import AdminReply, AdminRequest
 
 NAVIGATION = (
-    ("/", "Farm"),
+    ("/gallery", "Gallery"),
     ("/episodes", "Episodes"),
     ("/scenes", "Scenes"),
     ("/statistics", "Statistics"),
     ("/evaluations", "Evaluations"),
+    ("/farm", "Farm"),
 )
-"""Paths and titles of the pages."""
+"""Paths and titles of the pages. The home page `/` shows one of them."""
 
 
 class FarmView(NamedTuple):
@@ -36,6 +38,8 @@ class FarmView(NamedTuple):
     """The part of the page that changes, as HTML."""
     failed_scenes: list[tuple[str, int]]
     """Scenes for which the page draws a map of failures, with the number of failures."""
+    is_over: bool = False
+    """Whether no job can change its state, or no ledger can be read."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class WebContext:
     """Flags and notes."""
     frames: FrameStore
     """Encoded frames."""
+    thumbnails: ThumbnailStore
+    """Small pictures of episodes."""
     administer: Callable[[AdminRequest], AdminReply]
     """Executes an admin request on the run."""
     evaluations: Evaluations
@@ -77,15 +83,16 @@ def page(request: Request, template: str, title: str, status: int = 200, **value
         values: additional values of the template.
     """
     scope = request.scope
-    path, place = request.url.path, str(context_of(request).workspace.site)
-    here = next((at for at, _ in reversed(NAVIGATION) if path == at or path.startswith(f"{at.rstrip('/')}/")), "")
+    place = str(context_of(request).workspace.site)
+    path = f"/{template}" if request.url.path == "/" else request.url.path
+    here = next((at for at, _ in reversed(NAVIGATION) if path == at or path.startswith(f"{at}/")), "")
     text = render(
         f"web/{template}.html",
         title=title,
         place=place,
         run=place.rstrip("/").rpartition("/")[2] or place,
         navigation=NAVIGATION,
-        here=here if path != "/" else "/",
+        here=here,
         may_change=scope["may_change"],
         key=scope["access"].form_key if scope["may_change"] else "",
         **values,

@@ -203,10 +203,11 @@ def _encode(image: NDArray[Any], key: FrameKey, episode: Episode) -> bytes:
     elif key.kind == "ids":
         image = show_ids(image, episode.meta.target_instance_id)
     image = np.ascontiguousarray(image)
-    return encode_png(image) if key.media_type == "image/png" else _encode_jpeg(image)
+    return encode_png(image) if key.media_type == "image/png" else encode_jpeg(image)
 
 
-def _encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
+def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    """Returns a colour image as JPEG."""
     held = io.BytesIO()
     Image.fromarray(rgb).save(held, "JPEG", quality=_JPEG_QUALITY)
     return held.getvalue()

@@ -29,6 +29,7 @@ from factory.web.figures.store import StatisticsStore
 from factory.web.frames import FrameStore, first_frames
 from factory.web.pages.farm import read_view
 from factory.web.recent import Recent
+from factory.web.thumbnails import ThumbnailStore
 from factory.web.workspace import Workspace
 from schemas.errors import FactoryError
 from schemas.protocol.administration import AdminReply, AdminRequest
@@ -105,6 +106,7 @@ def make_context(
         farm=Recent(lambda: read_view(workspace), _FARM_AGE_S),
         marks=Marks(workspace.site),
         frames=FrameStore(workspace),
+        thumbnails=ThumbnailStore(workspace),
         administer=administer,
         evaluations=Evaluations(evaluations),
         statistics=statistics,

@@ -68,6 +68,7 @@ SORTED = (
     "num_steps",
     "trajectory_length_m",
     "final_ne_m",
+    "final_surface_m",
 )
 """Columns that the table can be sorted by."""
 ROW_COLUMNS = (*SORTED, "instruction")

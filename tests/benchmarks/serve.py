@@ -99,7 +99,7 @@ def bench_serve(root: Place, repeats: int, tabs: int, seconds: float) -> ServeBe
     """
     dataset = Dataset(root)
     with _server(root) as (host, pid):
-        first = _cost(host, pid, ["/"] * (repeats + 1))
+        first = _cost(host, pid, ["/farm"] * (repeats + 1))
         tables = {path: _cost(host, pid, [path] * (repeats + 1)) for path in _TABLES}
         names = _draw(dataset, repeats + 1)
         frames = _cost(host, pid, [f"/episodes/{name}/frames/0.png" for name in names])
@@ -250,7 +250,7 @@ def command(root: Place, repeats: int, tabs: int, seconds: float, as_json: bool)
 
 def _show(report: ServeBench) -> None:
     print_machine(report.machine)
-    pages: dict[str, RequestCost] = {"/": report.first_page, **report.table_page, "first frame": report.first_frame}
+    pages: dict[str, RequestCost] = {"/farm": report.first_page, **report.table_page, "first frame": report.first_frame}
     rows = [
         (
             path,

@@ -167,7 +167,7 @@ def _view(host: str, site: Site, viewers: int, seconds: float) -> None:
 
     def visit(_number: int) -> None:
         while time.monotonic() < end_s:
-            for path in ("/", "/episodes", episode, f"{episode}/frames/0.png"):
+            for path in ("/farm", "/episodes", episode, f"{episode}/frames/0.png"):
                 ask_page(host, path)
             time.sleep(max(0.0, min(_VISIT_S, end_s - time.monotonic())))
 

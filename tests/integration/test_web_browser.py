@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 from PIL import Image
 from starlette.routing import Match
@@ -36,12 +37,26 @@ REASON = why_no_chromium()
 pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
 
 _PAGES = (
-    *("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/{scene}", "/scenes/{scene}/3d?episode=ep_000001"),
+    *(
+        "/",
+        "/gallery",
+        "/farm",
+        "/episodes",
+        "/episodes/ep_000001",
+        "/scenes",
+        "/scenes/{scene}",
+        "/scenes/{scene}/3d?episode=ep_000001",
+    ),
     *("/statistics", "/evaluations", "/evaluations/results?first=a&second=b", "/operations/retry", "/login"),
     "/episodes/ep_9",
 )
 _FILES = (
-    *("/episodes/ep_000001/mask.svg", "/episodes/ep_000001/playback/0", "/episodes/ep_000001/download/zip"),
+    *(
+        "/episodes/ep_000001/thumbnail.jpg",
+        "/episodes/ep_000001/mask.svg",
+        "/episodes/ep_000001/playback/0",
+        "/episodes/ep_000001/download/zip",
+    ),
     *("/episodes/ep_000001/objects.json", "/scenes/{scene}/failures.svg", "/evaluations/results/films/0/ep_000001.jpg"),
 )
 """Files that pages load only after a click, or only for some datasets."""
@@ -61,6 +76,14 @@ async kind => {
   return [...new Uint8Array(digest)].map(byte => byte.toString(16).padStart(2, "0")).join("");
 }
 """
+_DRAWN = """
+() => {
+  const canvas = document.getElementById("outline");
+  const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  return [...data].filter((_, place) => place % 4 === 3).map(alpha => alpha > 0);
+}
+"""
+"""Returns for each pixel of the outline whether it is drawn."""
 _ARE_WHOLE = """
 () => [...document.querySelectorAll("img[data-kind]")].every(image => image.complete && image.naturalWidth === 640)
 """
@@ -203,6 +226,60 @@ def test_states_play_in_small_frames_and_a_paused_player_shows_the_frames_of_the
         page.wait_for_selector(f'#player:not([data-t="{played}"])')
         assert check_paused_frame(page) == played + 1
         assert not [path for path in asked if "/playback/" in path]
+
+
+def test_an_episode_repeats_at_the_chosen_speed_and_the_next_one_keeps_the_settings(browser, client):
+    with tab(browser, client) as page:
+        page.goto(f"{client.url}/episodes/ep_000001")
+        page.select_option("#speed", "4")
+        page.check("#loop")
+        page.click("#play")
+        for t in ("11", "0", "11"):
+            page.wait_for_selector(f'#player[data-t="{t}"]')
+        page.uncheck("#loop")
+        page.wait_for_selector('#play[aria-pressed="false"]')
+        assert page.locator("#player").get_attribute("data-t") == "11"
+        page.check("#loop")
+        with page.expect_navigation():
+            page.click("a[rel=next]")
+        assert page.url.endswith("/episodes/ep_000002")
+        assert (page.locator("#speed").input_value(), page.locator("#loop").is_checked()) == ("4", True)
+        assert page.locator("a[rel=prev]").get_attribute("href") == "/episodes/ep_000001"
+
+
+def test_the_outline_surrounds_the_target_on_the_colour_image(browser, client, data):
+    episode = Dataset(data)["ep_000001"]
+    mask = episode.ids(0) == episode.meta.target_instance_id
+    with tab(browser, client) as page:
+        page.goto(f"{client.url}/episodes/ep_000001")
+        assert not page.locator("#outline").is_visible()
+        page.check("#outlined")
+        page.wait_for_selector("#outline[data-target]")
+        drawn = np.array(page.evaluate(_DRAWN)).reshape(mask.shape)
+        image, border = (page.locator(name).bounding_box() for name in ("img[data-kind=rgb]", "#outline"))
+    assert image == border
+    assert 0 < drawn.sum() < mask.sum()
+    assert not (drawn & ~mask).any()
+    inside = mask[1:-1, 1:-1] & ~(mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:])
+    assert drawn[1:-1, 1:-1][inside].all()  # all pixels of the target beside another object
+
+
+@pytest.mark.parametrize("path", ["/", "/episodes/ep_000001"])
+def test_a_phone_shows_picture_and_instruction_without_scrolling(browser, client, data, path):
+    with tab(browser, client, width=390) as page:
+        page.goto(client.url + path)
+        for found in (page.locator("main img").first, page.get_by_text(Dataset(data)[0].instruction).first):
+            box = found.bounding_box()
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= 390
+            assert box["y"] + box["height"] <= 844
+
+
+def test_a_phone_shows_the_instructions_of_the_table_without_scrolling_to_the_side(browser, client, data):
+    with tab(browser, client, width=390) as page:
+        page.goto(f"{client.url}/episodes")
+        box = page.locator("td.text").first.bounding_box()
+        assert 0 <= box["x"] < box["x"] + box["width"] <= 390
 
 
 def test_the_object_below_the_pointer_is_named_and_a_note_is_stored(browser, client, data):

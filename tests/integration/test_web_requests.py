@@ -32,7 +32,17 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.web import WebClient, web_page
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
-PAGES = ("/", "/episodes", "/episodes/ep_000001", "/scenes", "/scenes/office", "/statistics", "/operations/retry")
+PAGES = (
+    "/",
+    "/gallery",
+    "/farm",
+    "/episodes",
+    "/episodes/ep_000001",
+    "/scenes",
+    "/scenes/office",
+    "/statistics",
+    "/operations/retry",
+)
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +120,27 @@ def test_filters_are_part_of_the_url(client):
     assert re.findall(r'href="/episodes/(ep_\d+)"', text) == ["ep_000002"]
     assert "<option selected>val_id</option>" in text
     assert client.ask("/episodes?colour=red").status == 400
+
+
+@pytest.mark.parametrize(("success", "place"), [("centroid", "centroid"), ("surface", "footprint")])
+def test_the_table_shows_the_error_that_decides_about_success_and_defines_it(tmp_path, success, place):
+    make_dataset(tmp_path / "data", 1)
+    path = tmp_path / "data" / "dataset_meta.json"
+    meta = json.loads(path.read_text())
+    meta["plan"]["task"]["success"] = success
+    path.write_text(json.dumps(meta))
+    row = Dataset(tmp_path / "data")[0].summary
+    error = row.final_ne_m if success == "centroid" else row.final_surface_m
+    with web_page(tmp_path / "data") as client:
+        text = client.ask("/episodes").text
+        assert f">NE to the {place}, m</a>" in text
+        assert f"planar distance from the robot to the {place} of the target" in text
+        assert ("–" if error is None else f"{error:.2f}") in re.findall(r"<td class=n>([^<]+)</td>", text)[-1]
+        column = "final_ne_m" if success == "centroid" else "final_surface_m"
+        assert client.ask(f"/episodes?sort={column}&order=desc").status == 200
+        facts = client.ask("/episodes/ep_000001").text
+        assert "<dt>NE to the centroid</dt>" in facts
+        assert "<dt>NE to the footprint</dt>" in facts
 
 
 def test_flags_and_notes_are_stored_only_with_the_key_of_the_form(data, tmp_path):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from factory.html.measures import PLACES
 from factory.html.palette import DASHES, colour, scene_colours
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, write_legend
@@ -24,17 +25,19 @@ def draw(material: ReportInput) -> Figure:
         return Figure("errors", title, source, "No episodes to show.")
     everything = material.statistics.navigation_error[-1]
     within = everything.within_radius
+    place = PLACES[material.statistics.success]
+    other = next(name for measure, name in PLACES.items() if measure is not material.statistics.success)
     paper_note = f" The pink line is the paper's mean, {number(paper.NAVIGATION_ERROR.ne_mean_m, 3)} m."
     caption = (
         f"Share of {count(everything.n, 'episode')} whose planar distance to the target's "
-        f"{material.statistics.success} at the end (NE) is at most x. "
+        f"{place} at the end (NE) is at most x. "
         f"The dashed line is the success radius, {material.statistics.success_radius_m:g} m: {within.count} of "
         f"{within.of} episodes end within it.{paper_note if material.statistics.beside_paper else ''}"
     )
     panel = draw_panel("ne_cdf", "Cumulative navigation error by scene", lambda axes: _paint(axes, material), 3.3)
-    tables = [_table(material.statistics.navigation_error, "NE by scene, metres")]
+    tables = [_table(material.statistics.navigation_error, f"NE to the {place} by scene, metres")]
     if material.statistics.other_error:
-        tables.append(_table(material.statistics.other_error, "NE by the other success measure, metres"))
+        tables.append(_table(material.statistics.other_error, f"NE to the {other} by scene, metres"))
     return Figure("errors", title, source=source, caption=caption, panels=(panel,), tables=tuple(tables))
 
 
@@ -61,7 +64,7 @@ def _paint(axes: Axes, material: ReportInput) -> None:
         axes.axvline(paper_mean, color=colour("paper"), linewidth=1.2, label="paper, mean")
     axes.set_xlim(low, high)
     axes.set_ylim(0, 1.02)
-    axes.set_xlabel("navigation error, m")
+    axes.set_xlabel(f"NE to the {PLACES[material.statistics.success]}, m")
     axes.set_ylabel("share of the episodes")
     write_legend(axes, columns=2)
 

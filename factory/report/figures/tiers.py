@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.measures import PLACES
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, mark, mark_paper, write_legend
@@ -27,9 +28,9 @@ def draw(material: ReportInput) -> Figure:
     caption = (
         f"First drawing: share of each tier among {count(total, 'episode')} ({counts}), with the share in the "
         f"plan{beside}. "
-        f"Second drawing: planar distance of the start from the target's {material.statistics.success}; the dotted "
-        "lines are the tiers' limits at 1.5, 3.5 and 7.0 m. Far starts are surveyed points, and their limits apply to "
-        "the distance along the floor."
+        f"Second drawing: planar distance of the start from the target's {PLACES[material.statistics.success]}; the "
+        "dotted lines are the tiers' limits at 1.5, 3.5 and 7.0 m. Far starts are surveyed points, and their limits "
+        "apply to the distance along the floor."
     )
     shares = draw_panel("spawn_tiers", f"Shares of the tiers: {counts}", lambda axes: _shares(axes, material), 2.6)
     distances = draw_panel(

@@ -11,6 +11,7 @@ from html import escape
 from PIL import Image
 
 from factory.html import data_uri, render
+from factory.html.measures import PLACES
 from factory.html.palette import with_variables
 from factory.report.comparison.paper_comparison import PaperComparison
 from factory.report.data import FrameSample, ReportInput
@@ -178,9 +179,9 @@ def _method(material: ReportInput) -> Sequence[str]:
     return (
         "All numbers come from the dataset's own tables (metadata.parquet, attempts.parquet) and equal those of "
         "`factory stats`. Tracks, actions and frames are read from the episodes.",
-        f"NE is the planar distance between base_link and the target's {meta.plan.task.success} at the end, TL the "
-        "trajectory length; the start distance is planar too. Detour is TL minus the difference of start distance and "
-        "NE; the shortest path is measured along the floor to the success region.",
+        f"NE is the planar distance between base_link and the target's {PLACES[meta.plan.task.success]} at the end, TL "
+        "the trajectory length; the start distance is planar too. Detour is TL minus the difference of start distance "
+        "and NE; the shortest path is measured along the floor to the success region.",
         *((_ABOUT_PAPER,) if material.statistics.beside_paper else ()),
         f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Software: {software}.",
         "The page is reproducible: the same dataset and software give the same bytes.",

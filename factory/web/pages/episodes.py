@@ -10,9 +10,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from factory.html.measures import PLACES
 from factory.web.context import WebContext, context_of, page
 from factory.web.frames import first_frames
 from factory.web.table import FILTERS, SORTED, EpisodeTable, TableQuery, parse_query, read_first_rows
+from factory.web.thumbnails import dataset_version, thumbnail_urls
+from schemas.terms import Recording, SuccessMeasure
 
 PAGE_ROWS = 50
 """Number of episodes on a page."""
@@ -23,16 +26,21 @@ _PATIENCE_S = 0.1
 """Maximum wait for the first reading of the table, seconds; after it, the page shows the first rows only."""
 _SHOWN = (
     ("episode_id", "episode"),
+    ("instruction", "instruction"),
     ("scene", "scene"),
     ("split", "split"),
     ("spawn_tier", "tier"),
     ("target_category", "category"),
     ("num_steps", "steps"),
     ("trajectory_length_m", "TL, m"),
-    ("final_ne_m", "NE, m"),
-    ("instruction", "instruction"),
 )
-"""Columns of the table with their titles."""
+"""Columns of the table with their titles; the navigation error follows them (`shown_columns`)."""
+_ERRORS = {SuccessMeasure.CENTROID: "final_ne_m", SuccessMeasure.SURFACE: "final_surface_m"}
+
+
+def shown_columns(success: SuccessMeasure) -> tuple[tuple[str, str], ...]:
+    """Returns columns and titles of the table. Its navigation error is the one that decides about success."""
+    return (*_SHOWN, (_ERRORS[success], f"NE to the {PLACES[success]}, m"))
 
 
 def routes() -> list[Route]:
@@ -46,19 +54,24 @@ def show(request: Request) -> Response:
     if table is None and context.workspace.site.store is None and query == TableQuery():
         first = read_first_rows(context.workspace.root, PAGE_ROWS)
         if first is not None and first.total >= LARGE_ROWS:
-            rows = [_cells(row) for row in first.rows]
-            return page(request, "first_episodes", "Episodes", total=first.total, heads=_SHOWN, rows=rows)
+            meta = context.workspace.meta()
+            shown = shown_columns(meta.plan.task.success if meta else SuccessMeasure.CENTROID)
+            rows = [_cells(row, shown) for row in first.rows]
+            return page(request, "first_episodes", "Episodes", total=first.total, heads=shown, rows=rows)
     return _show_table(request, query, table or context.workspace.table())
 
 
 def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Response:
     context = context_of(request)
     marks = context.marks.read()
+    shown = shown_columns(table.dataset.meta.plan.task.success)
     flagged = {name for name, mark in marks.items() if mark.flagged}
     selected = table.select(query, flagged)
     rows = table.rows(selected[query.page * PAGE_ROWS : (query.page + 1) * PAGE_ROWS])
     last = max(0, (len(selected) - 1) // PAGE_ROWS)
     prepare_scenes(context, rows)
+    has_pictures = _is_cheap_to_picture(context, table)
+    pictures = thumbnail_urls(rows, dataset_version(table.dataset.meta)) if has_pictures else [""] * len(rows)
     return page(
         request,
         "episodes",
@@ -66,10 +79,22 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
         query=query,
         count=len(selected),
         total=len(table),
-        rows=[(_cells(row), marks.get(row["episode_id"])) for row in rows],
-        heads=list(_heads(query)),
+        rows=list(
+            zip(
+                [_cells(row, shown) for row in rows],
+                [marks.get(row["episode_id"]) for row in rows],
+                pictures,
+                strict=True,
+            )
+        ),
+        has_pictures=has_pictures,
+        gallery=query_url("/gallery", query, page=0),
+        heads=list(_heads(query, shown)),
         choices=[(name, table.values(column), query.filters.get(name, "")) for name, column in FILTERS.items()],
-        pages=[(text, _link(query, page=at), at == query.page) for text, at in _pages(query.page, last)],
+        pages=[
+            (text, query_url("/episodes", query, page=at), at == query.page)
+            for text, at in page_links(query.page, last)
+        ],
         last=last,
     )
 
@@ -84,35 +109,52 @@ def prepare_scenes(context: WebContext, rows: Sequence[Mapping[str, Any]]) -> No
         context.frames.prepare(shown[:1])
 
 
-def _cells(row: Mapping[str, Any]) -> list[tuple[str, bool]]:
+def _is_cheap_to_picture(context: WebContext, table: EpisodeTable) -> bool:
+    """Returns whether the table shows thumbnails: not where they must be rendered beside a run (`prepare_scenes`)."""
+    return table.dataset.meta.plan.record is Recording.FRAMES or not context.workspace.is_written()
+
+
+def _cells(row: Mapping[str, Any], shown: Sequence[tuple[str, str]]) -> list[tuple[str, bool]]:
     """Returns for each shown column the text of the cell, and whether it is a number."""
-    values = [row[name] for name, _ in _SHOWN]
+    values = [row.get(name) for name, _ in shown]
     return [
-        (f"{value:.2f}" if isinstance(value, float) else str(value), not isinstance(value, str)) for value in values
+        (
+            f"{value:.2f}" if isinstance(value, float) else "–" if value is None else str(value),
+            not isinstance(value, str),
+        )
+        for value in values
     ]
 
 
-def _heads(query: TableQuery) -> Iterator[tuple[str, str, str]]:
+def _heads(query: TableQuery, shown: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
     """Yields title, link and direction of sorting of each column.
 
     The link is empty if the table cannot be sorted by the column. The direction is empty if the table is not sorted
     by the column.
     """
-    for name, title in _SHOWN:
+    for name, title in shown:
         is_sorted = name == query.sort
         direction = "" if not is_sorted else "descending" if query.descending else "ascending"
-        link = _link(query, page=0, sort=name, descending=is_sorted and not query.descending)
+        link = query_url("/episodes", query, page=0, sort=name, descending=is_sorted and not query.descending)
         yield title, link if name in SORTED else "", direction
 
 
-def _link(query: TableQuery, **changes: Any) -> str:
+def query_url(path: str, query: TableQuery, **changes: Any) -> str:
+    """Returns the URL of a page with a selection, after changes of `page`, `sort` or `descending`."""
     state = {"page": query.page, "sort": query.sort, "descending": query.descending, **changes}
-    fields = {**query.filters, "q": query.text, "flagged": "1" if query.flagged else "", "sort": state["sort"]}
+    fields = {
+        **query.filters,
+        "q": query.text,
+        "flagged": "1" if query.flagged else "",
+        "sort": state["sort"] if state["sort"] != TableQuery.sort else "",
+    }
     fields |= {"order": "desc" if state["descending"] else "", "page": state["page"] or ""}
-    return "/episodes?" + urlencode({name: value for name, value in fields.items() if value != ""})
+    chosen = urlencode({name: value for name, value in fields.items() if value != ""})
+    return f"{path}?{chosen}" if chosen else path
 
 
-def _pages(here: int, last: int) -> Iterator[tuple[str, int]]:
+def page_links(here: int, last: int) -> Iterator[tuple[str, int]]:
+    """Yields title and number of the pages that a page links to."""
     if here > 0:
         yield from (("first", 0), ("previous", min(here, last + 1) - 1))
     if here < last:

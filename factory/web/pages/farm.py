@@ -69,7 +69,7 @@ def routes(view: Recent[FarmView]) -> list[Route]:
     Args:
         view: result of `read_view`, shared by all tabs and requests.
     """
-    return [Route("/", show), Route("/live", LiveFeed(lambda: view.get().fragment, forget=view.forget))]
+    return [Route("/farm", show), Route("/live", LiveFeed(lambda: view.get().fragment, forget=view.forget))]
 
 
 def show(request: Request) -> Response:
@@ -83,8 +83,8 @@ def read_view(workspace: Workspace) -> FarmView:
         farm = workspace.farm()
     except FactoryError as error:
         text = render("web/no_farm.html", trouble=str(error), tables=_tables(workspace), disk=_disk(workspace))
-        return FarmView(text, [])
-    return FarmView(_draw(workspace, farm), list(farm.failed.items())[:_MAPS])
+        return FarmView(text, [], is_over=True)
+    return FarmView(_draw(workspace, farm), list(farm.failed.items())[:_MAPS], farm.progress.finished)
 
 
 def _draw(workspace: Workspace, farm: Farm) -> str:

@@ -2,7 +2,6 @@
 const player = document.getElementById("player");
 const images = [...player.querySelectorAll("img[data-kind]")];
 const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)];
-const stride = Math.max(1, Math.ceil(hz / 30));
 const AHEAD = 12;
 const MOST_LATE_MS = 250;
 const robot = document.getElementById("robot");
@@ -10,11 +9,13 @@ const poses = robot.dataset.poses.split(" ").map((text) => text.split(",").map(N
 const time = document.getElementById("time");
 const play = document.getElementById("play");
 const clock = document.getElementById("clock");
+const [speed, loop, outlined] = ["speed", "loop", "outlined"].map((id) => document.getElementById(id));
+const stride = () => Math.max(1, Math.ceil((hz * Number(speed.value)) / 30)); // at most 30 frames per second
 const loaded = new Map();
 let shown = Number(player.dataset.t);
 let playing = false;
 let turn = 0; // number of the newest playback
-let pace = stride; // steps from one shown frame to the next
+let pace = stride(); // steps from one shown frame to the next
 
 // During playback, images are small, except stored colour frames, which the server sends without decoding them.
 function source(t, kind) {
@@ -37,10 +38,16 @@ function forget(t) {
   loaded.delete(t);
 }
 
+function following(t) {
+  return t < last ? Math.min(last, t + pace) : 0;
+}
+
 async function show(t) {
   shown = t;
-  for (const known of [...loaded.keys()]) if (known < t || known > t + AHEAD * pace) forget(known);
-  if (playing) for (let next = t; next <= Math.min(last, t + AHEAD * pace); next += pace) load(next);
+  const wanted = [t];
+  while (playing && wanted.length <= AHEAD && (wanted.at(-1) < last || loop.checked)) wanted.push(following(wanted.at(-1)));
+  for (const known of [...loaded.keys()]) if (!wanted.includes(known)) forget(known);
+  wanted.forEach(load);
   try {
     const parts = await load(t);
     if (shown !== t) return;
@@ -48,6 +55,7 @@ async function show(t) {
       images[place].src = part.src;
       images[place].alt = `${images[place].dataset.kind} at step ${t}`;
     });
+    outline(parts);
   } catch {
     if (shown !== t) return;
     clock.value = `step ${t} cannot be shown`;
@@ -83,16 +91,16 @@ async function run() {
   const goesOn = () => playing && turn === mine;
   let [due, early] = [performance.now(), 0];
   await show(shown);
-  while (goesOn() && shown < last) {
-    due += (1000 * pace) / hz;
-    await show(Math.min(last, shown + pace));
+  while (goesOn() && (shown < last || loop.checked)) {
+    due += (1000 * pace) / hz / Number(speed.value);
+    await show(following(shown));
     const late = performance.now() - due;
     early = late > 0 ? 0 : early + 1;
     if (late > MOST_LATE_MS) {
-      pace = Math.min(8 * stride, 2 * pace);
+      pace = Math.min(8 * stride(), 2 * pace);
       due = performance.now();
     } else if (early > 30) {
-      pace = Math.max(stride, pace / 2);
+      pace = Math.max(stride(), Math.ceil(pace / 2));
       early = 0;
     }
     while (goesOn() && performance.now() < due) await new Promise(requestAnimationFrame);
@@ -124,6 +132,49 @@ for (const link of document.querySelectorAll(".steps a"))
 document.getElementById("controls").hidden = false;
 document.getElementById("steps").hidden = true;
 mark(shown);
+
+// The settings stay while the tab goes from episode to episode.
+for (const control of [speed, loop, outlined]) {
+  const name = control.type === "checkbox" ? "checked" : "value";
+  const kept = sessionStorage.getItem(control.id);
+  if (kept !== null) control[name] = name === "checked" ? kept === "true" : kept;
+  control.addEventListener("change", () => sessionStorage.setItem(control.id, control[name]));
+}
+pace = stride();
+speed.addEventListener("change", () => (pace = stride()));
+
+// Draws the border of the target over the colour image; the target is red in the image of ids.
+const border = document.getElementById("outline");
+
+function outline(parts) {
+  border.hidden = !outlined.checked;
+  const source = parts[images.findIndex((image) => image.dataset.kind === "ids")];
+  const side = source.naturalWidth;
+  if (border.hidden || !side) return;
+  [border.width, border.height] = [side, side];
+  const pen = border.getContext("2d", { willReadFrequently: true });
+  pen.drawImage(source, 0, 0);
+  const shown = pen.getImageData(0, 0, side, side);
+  const colours = new Uint32Array(shown.data.buffer);
+  const RED = new Uint32Array(new Uint8Array([255, 40, 40, 255]).buffer)[0];
+  const WHITE = 0xffffffff;
+  const reach = Math.max(1, Math.round(side / 320)); // width of the line, pixels of the image
+  const isTarget = colours.map((colour) => Number(colour === RED));
+  colours.fill(0);
+  let found = 0;
+  for (let at = 0; at < isTarget.length; at++) {
+    if (!isTarget[at]) continue;
+    found++;
+    const x = at % side;
+    const holds = (step) => (x < step || isTarget[at - step]) && (x + step >= side || isTarget[at + step]) && isTarget[at - step * side] !== 0 && isTarget[at + step * side] !== 0;
+    if (!holds(reach)) colours[at] = RED;
+    else if (!holds(2 * reach)) colours[at] = WHITE;
+  }
+  pen.putImageData(shown, 0, 0);
+  border.dataset.target = found;
+}
+outlined.addEventListener("change", () => show(shown));
+if (outlined.checked) show(shown);
 
 const canvas = document.createElement("canvas");
 const pen = canvas.getContext("2d", { willReadFrequently: true });

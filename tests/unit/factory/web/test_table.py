@@ -19,7 +19,8 @@ def vary(parts: BundleParts) -> BundleParts:
     """Gives each episode a different instruction and final error, which sort in a different order than the episodes."""
     index = parts.meta.job.index
     job = parts.meta.job.model_copy(update={"instruction": f"Go to CHAIR {7 * index % 5}."})
-    rollout = parts.meta.rollout.model_copy(update={"final_ne_m": round(3 * index % 5 / 10, 2)})
+    error_m = round(3 * index % 5 / 10, 2)
+    rollout = parts.meta.rollout.model_copy(update={"final_ne_m": error_m, "final_surface_m": error_m / 2})
     return dataclasses.replace(parts, meta=parts.meta.model_copy(update={"job": job, "rollout": rollout}))
 
 
