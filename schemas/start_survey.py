@@ -38,7 +38,7 @@ class ExchangeStarts:
     poses: Floats
     """(N, 3) x, y in metres and yaw in radians."""
     choices: Bools
-    """(N, K) whether each of the K objects that were asked for could be the target."""
+    """(N, K) whether each of the K objects that were requested could be the target."""
 
     def of(self, column: int) -> ExchangeStarts:
         """Returns the starts from which one object could be the target."""

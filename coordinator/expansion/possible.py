@@ -88,7 +88,8 @@ def _offer_message(cells: SceneCells, split: Split, tier: Tier) -> str:
     groups = ", ".join(f"{count} of {name}" for name, count in sorted(named.items())) or "none"
     counts = ", ".join(f"{each} {count}" for each, count in offered.items())
     return (
-        "no start shows several possible targets that an instruction tells apart; groups of such objects in the scene: "
+        "no start shows several possible targets that an instruction distinguishes; groups of such objects in "
+        "the scene: "
         f"{counts}; in the {tier} tier: {groups}; set tiers.{tier} or splits.{split} of the scene to 0, name other "
         "categories in seen, or set disjoint_instances = false"
     )

@@ -24,7 +24,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand_each
 from coordinator.ledger.builds import built_layouts, insert_builds, unbuilt_layouts
 from coordinator.ledger.database.engine import sqlite_url
-from coordinator.ledger.states import JobState
+from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import (
     BUILD,
     FORMER_FORMATS,
@@ -70,7 +70,7 @@ class LedgerInfo:
     created_at: datetime
     """Creation time of the run."""
     opened_at: datetime
-    """Time at which a coordinator last opened the run."""
+    """Time at which a coordinator last opened the unfinished run."""
     sandbox: tuple[str, ...] = ()
     """Active sandbox layers of the validating processes; empty if none was started."""
     shard: RunShard | None = None
@@ -122,7 +122,8 @@ def open_run(
             _check_is_ours(recorded, plan, catalog, {**recorded.scenes, **recorded.layouts})
             require_shard(recorded.shard, shard)
             install_tallies(connection)
-            write_info(connection, {"lease_ttl_s": str(lease_ttl_s), _OPENED: now.isoformat()})
+            opened = {_OPENED: now.isoformat()} if _has_open_jobs(connection) else {}
+            write_info(connection, {"lease_ttl_s": str(lease_ttl_s), **opened})
             return False
         unbuilt = unbuilt_layouts(plan, catalog) if planned is None else []
         planned = expand_each(plan, catalog) if planned is None else planned
@@ -140,6 +141,11 @@ def open_run(
             write_info(connection, {_SHARD: str(shard)})
         write_info(connection, {PLANNED: planned_digest(connection)})
         return True
+
+
+def _has_open_jobs(connection: Connection) -> bool:
+    query = select(jobs.c.id).where(jobs.c.superseded.is_(False), jobs.c.state.in_(OPEN_STATES)).limit(1)
+    return connection.execute(query).first() is not None
 
 
 def read_info(connection: Connection) -> LedgerInfo:

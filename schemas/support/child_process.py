@@ -408,7 +408,7 @@ class _Lines(Generic[M]):
 
 
 def _error_output() -> int:
-    """Returns the descriptor of stderr; in a notebook, whose `sys.stderr` is no file, that of the process."""
+    """Returns the descriptor of `sys.stderr`, or that of the process in a notebook, which replaces `sys.stderr`."""
     try:
         return sys.stderr.fileno()
     except (AttributeError, OSError, ValueError):

@@ -86,7 +86,7 @@ class EpisodeAim:
     choices: tuple[int, ...] = ()
     """Ids of the objects that could be the target; empty if the plan names it."""
     begun: tuple[Expert, tuple[Waypoint, ...]] | None = None
-    """Expert that has begun at the start, and its path, if the search for the target has planned it."""
+    """Expert that started there, and its path, if the search for the target has planned it."""
 
 
 def start_target(job: Job, info: SceneInfo) -> Target:
