@@ -131,9 +131,11 @@ def _inject_faults(
     kinds, spans = possible(cluster), list[tuple[str, FaultSpan]]()
     deadline = time.monotonic() + cluster.commands.longest_s
     has_strikes = load.peers is None
-    next_fault, disk_recovers_at = time.monotonic() + _START_DELAY_S, float("inf")
+    next_fault, disk_recovers_at = float("inf"), float("inf")
     while len(cluster.archived()) < cluster.commands.episodes and time.monotonic() < deadline:
         now = time.monotonic()
+        if next_fault == float("inf") and cluster.leased():
+            next_fault = now + _START_DELAY_S  # processes import for seconds, in which a fault has no effect
         if now > disk_recovers_at:
             disk.clear()
             disk_recovers_at = float("inf")
