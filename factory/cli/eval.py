@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import tempfile
 from collections import Counter
 from collections.abc import Callable
@@ -31,6 +30,7 @@ from factory.cli.options import (
 )
 from factory.eval.models.result import Variant
 from schemas.errors import UsageError
+from schemas.support.shell import quoted
 from schemas.terms import Split
 
 if TYPE_CHECKING:
@@ -212,7 +212,7 @@ def _drive(campaign: Campaign, store: Store, access: FleetAccess | None) -> bool
 
 
 def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
-    folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
+    folders = [quoted(store.folder_of(policy.policy)) for policy in evaluation.policies if policy.faults]
     if folders:
         again = f"run `rm -r {' '.join(folders)}` and the same command again"
         click.echo(f"note: results with policy faults are kept; to evaluate a corrected policy, {again}", err=True)

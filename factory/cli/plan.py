@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import shutil
 import tempfile
 from dataclasses import asdict
@@ -14,6 +13,7 @@ import click
 from factory.cli.groups import CommandGroup
 from factory.cli.options import json_option, plan_argument, shrink_options
 from schemas.errors import InvalidPlan, UsageError, WorldError
+from schemas.support.shell import quoted
 from schemas.support.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     warn_of_empty_splits(plan)
     for line in mistakes or ():
         print_text(f"impossible: {line}")
-    nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
+    nearest = f"`factory plan nearest {quoted(plan_name)}`"
     if mistakes and content is None:
         print_text(f"find the nearest feasible plan with {nearest}")
     elif unknown:
@@ -112,7 +112,7 @@ def new(file: Path, as_json: bool) -> None:
     if as_json:
         print_json({"file": str(file)})
         return
-    print_text(f"plan written to {file}; edit it, then check it with: factory plan show {shlex.quote(str(file))}")
+    print_text(f"plan written to {file}; edit it, then check it with: factory plan show {quoted(file)}")
 
 
 @command.command("keys")
@@ -186,7 +186,7 @@ def nearest(plan_name: str, out: Path | None, changes: PlanChanges, as_json: boo
         return
     print_nearest(plan, result, mistakes)
     if out is not None:
-        print_text(f"plan written to {out}; generate the dataset with: factory run {shlex.quote(str(out))} --out DIR")
+        print_text(f"plan written to {out}; generate the dataset with: factory run {quoted(out)} --out DIR")
 
 
 def _without_families(plan: Plan) -> Plan:

@@ -191,9 +191,11 @@ def _check_disk(plan: Plan, site: Site | None) -> None:
 def _print_dry(plan: Plan, site: Site, as_json: bool) -> int:
     from dataclasses import asdict
 
-    from factory.runs.estimate import count_archived, estimate_run, format_size, free_bytes
+    from factory.runs.estimate import count_archived, estimate_run
     from factory.runs.plan_text import print_plan
     from factory.support.terminal import print_json, print_text
+    from factory.support.text import format_bytes
+    from schemas.storage.disk import free_bytes
 
     archived, free = count_archived(site), None if site.store is not None else free_bytes(site.state_dir)
     if as_json:
@@ -201,7 +203,7 @@ def _print_dry(plan: Plan, site: Site, as_json: bool) -> int:
         print_json({"run": plan.run, "estimate": estimate, "archived": archived, "free_bytes": free})
         return 0
     print_plan(plan)
-    room = "" if free is None else f", {format_size(free)} free"
+    room = "" if free is None else f", {format_bytes(free)} free"
     print_text(f"{site}: {archived} of {plan.episodes} episodes exist{room}; nothing was run")
     return 0
 

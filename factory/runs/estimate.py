@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
 from coordinator.expansion.cells import cells
 from factory.dataset.site import Site
+from factory.support.text import format_bytes
 from schemas.errors import WorldError
 from schemas.plan import Plan
-from schemas.storage.disk import translated
+from schemas.storage.disk import free_bytes
 from schemas.storage.episode_list import list_episodes
 from schemas.support.shell import quoted
 from schemas.terms import ExpertName, Recording, Tier
@@ -72,7 +72,7 @@ def describe_estimate(plan: Plan, estimate: RunEstimate) -> list[str]:
     for record in sorted(Recording, key=lambda one: one is not plan.record):
         name = f"record = {record.value}" if record is plan.record else f"  --record {record.value}"
         lines.append(
-            f"{name}: about {format_size(estimate.bytes[record.value])}, "
+            f"{name}: about {format_bytes(estimate.bytes[record.value])}, "
             f"{_format_hours(estimate.core_hours[record.value])} of one core"
         )
     return lines
@@ -98,30 +98,16 @@ def require_disk(plan: Plan, root: Path, archived: int = 0) -> None:
     fitting = int(plan.episodes * free / max(1, needed) * 0.8)
     smaller = [f"`--episodes {fitting}`"] if fitting else []
     if plan.record is Recording.FRAMES:
-        size = format_size(round(estimate.bytes[Recording.STATES.value] * share))
+        size = format_bytes(round(estimate.bytes[Recording.STATES.value] * share))
         smaller.insert(0, f"`--record states`, which needs about {size} and renders the same frames when they are read")
     raise WorldError(
-        f"{quoted(root)} has {format_size(free)} free, but {plan.episodes - archived} episodes of {plan.record.value} "
-        f"need about {format_size(needed)}: use {', or '.join(smaller)}; or choose another --out"
+        f"{quoted(root)} has {format_bytes(free)} free, but {plan.episodes - archived} episodes of {plan.record.value} "
+        f"need about {format_bytes(needed)}: use {', or '.join(smaller)}; or choose another --out"
     )
-
-
-def free_bytes(root: Path) -> int:
-    """Returns the free space of the file system of a directory, which need not exist, bytes."""
-    there = next(place for place in (root.absolute(), *root.absolute().parents) if place.exists())
-    with translated("read the free space of", there):
-        return shutil.disk_usage(there).free
 
 
 def count_archived(site: Site) -> int:
     return len(list_episodes(site.place).episodes)
-
-
-def format_size(octets: int) -> str:
-    for unit, size in (("GB", 10**9), ("MB", 10**6)):
-        if octets >= size:
-            return f"{octets / size:.3g} {unit}"
-    return f"{octets / 1000:.3g} kB"
 
 
 def _format_hours(hours: float) -> str:

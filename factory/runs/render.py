@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import shutil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +32,7 @@ from schemas.plan import Plan
 from schemas.protocol.messages import MAX_STATES_CHARS
 from schemas.rig.rig_file import load_rig
 from schemas.storage.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE
+from schemas.storage.disk import free_bytes
 from schemas.storage.place import Place, children
 from schemas.storage.shard_index import episode_place
 from schemas.terms import Recording, RendererKind
@@ -140,8 +140,7 @@ def _require_room(dataset: Dataset, folder: Path) -> None:
     for place in children(folder / EPISODES):
         steps.pop(place.stem, None)
     needed = sum(steps.values()) * _LEAST_FRAME_BYTES
-    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
-    free = shutil.disk_usage(there).free
+    free = free_bytes(folder)
     if free < needed:
         raise WorldError(
             f"{sum(steps.values())} frames need at least {needed / 1e9:.2f} GB, and {folder} has {free / 1e9:.2f} GB "

@@ -5,7 +5,6 @@ Also proposes the commands to run after an import, with a first plan. Does not v
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from factory.support.terminal import print_table, print_text
 from schemas.config import TaskConfig
 from schemas.plan import PAPER_SPLITS, Plan, ScenePlan
 from schemas.scene import CompiledScene, SceneInfo, Target, read_geometry
+from schemas.support.shell import quoted
 from schemas.terms import Split, SuccessMeasure
 
 _OTHER_LINES = ("categories", "targets", "no_target", "notes", "source_sha256", "bounds_m")
@@ -206,7 +206,7 @@ def next_steps(package: Path, file: Path, is_in_cache: bool, files: dict[str, ob
     """
     entry = read_entry(package)
     name = entry.info.name
-    scene = name if is_in_cache else shlex.quote(str(package))
+    scene = name if is_in_cache else quoted(package)
     plan = draft_plan(entry, str(file.resolve()), **files)
     commands = (f"factory scene inspect {scene} -o {name}.png", f"factory scene survey {scene}")
     ready = (f"factory plan show {name}.toml",) if plan else ()

@@ -6,7 +6,6 @@ Reads the table. Does not read stages.
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Collection, Iterator
 from functools import cache, cached_property
 from pathlib import Path
@@ -18,6 +17,7 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError, model_validat
 from factory.scenes.yaml_text import os_reason, read_yaml
 from schemas.base import Model, Name, NonNegative, Positive
 from schemas.errors import UsageError
+from schemas.support.shell import quoted
 from schemas.terms import COLOUR_NAMES
 
 BUILTIN_RULES = Path(__file__).with_name("rules.yaml")
@@ -149,7 +149,7 @@ def load_rules(path: Path) -> RuleBook:
         table = read_yaml(path.read_text(encoding="utf-8"))
         return RuleBook(rules=TypeAdapter(tuple[CategoryRule, ...]).validate_python(table))
     except OSError as error:
-        command = f"cp {shlex.quote(str(BUILTIN_RULES))} {shlex.quote(str(path))}"
+        command = f"cp {quoted(BUILTIN_RULES)} {quoted(path)}"
         raise UsageError(
             f"cannot read category rules from {path} ({os_reason(error)}); use the built-in rules without --rules, "
             "or start "

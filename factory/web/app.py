@@ -32,7 +32,6 @@ from factory.web.pages import (
     evaluation,
     farm,
     gallery,
-    home,
     operations,
     scene3d,
     scenes,
@@ -42,7 +41,7 @@ from factory.web.pages.find import NoEpisode
 from factory.web.recent import Recent
 from schemas.errors import FactoryError, UsageError
 
-_PAGES = (home, gallery, episodes, episode, scenes, scene3d, statistics, evaluation, operations)
+_PAGES = (gallery, episodes, episode, scenes, scene3d, statistics, evaluation, operations)
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 

@@ -23,6 +23,17 @@ _REMEDIES = {
 }
 
 
+def free_bytes(root: Path) -> int:
+    """Returns the free space of the file system of a directory, which need not exist yet, bytes.
+
+    Raises:
+        WorldError: the file system cannot be read.
+    """
+    there = next(place for place in (root.absolute(), *root.absolute().parents) if place.exists())
+    with translated("read the free space of", there):
+        return shutil.disk_usage(there).free
+
+
 def require_room(root: Path, reserve_bytes: int) -> None:
     """Checks that the file system of a directory, which need not exist yet, has enough free space; creates nothing.
 
@@ -33,9 +44,7 @@ def require_room(root: Path, reserve_bytes: int) -> None:
     Raises:
         WorldError: less space is free.
     """
-    there = next(place for place in (root.absolute(), *root.absolute().parents) if place.exists())
-    with translated("read the free space of", there):
-        free = shutil.disk_usage(there).free
+    free = free_bytes(root)
     if free < reserve_bytes:
         raise WorldError(
             f"{root} has {free / 1e9:.2f} GB free, but a run keeps {reserve_bytes / 1e9:.2f} GB in reserve: free some "

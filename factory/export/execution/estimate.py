@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 import tempfile
 import time
 from pathlib import Path
@@ -16,7 +15,7 @@ from factory.export.execution.manifest import require_same_export
 from factory.export.registry import find_exporter, require_packages
 from schemas.base import Model
 from schemas.errors import WorldError
-from schemas.storage.disk import translated
+from schemas.storage.disk import free_bytes
 
 _TRIES = 3
 
@@ -63,7 +62,7 @@ def estimate_export(order: ExportOrder) -> ExportEstimate:
     steps = np.asarray(dataset.column("num_steps").to_pylist(), np.float64)
     scale = float(steps.sum()) / float(steps[dataset.column("episode_id").to_pylist().index(sample)])
     peak = round(size * scale * (2 if exporter.assembles else 1))
-    free = _free_bytes(order.out)
+    free = free_bytes(order.out)
     return ExportEstimate(
         dataset=str(order.root),
         format=exporter.name,
@@ -104,9 +103,3 @@ def _by_nearness_to_the_median(dataset: Dataset) -> list[str]:
     order = np.argsort(np.abs(steps - np.median(steps)), kind="stable")
     names: list[str] = dataset.column("episode_id").take(order).to_pylist()
     return names
-
-
-def _free_bytes(out: Path) -> int:
-    there = next(place for place in (out.absolute(), *out.absolute().parents) if place.exists())
-    with translated("read the free space of", there):
-        return shutil.disk_usage(there).free

@@ -6,7 +6,6 @@ Does not apply the list; `target_edits.py` does.
 from __future__ import annotations
 
 import hashlib
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +16,7 @@ from factory.scenes.yaml_text import os_reason, read_yaml
 from schemas.base import Model, Name
 from schemas.errors import UsageError
 from schemas.scene import SceneInfo
+from schemas.support.shell import quoted
 from schemas.terms import COLOUR_NAMES
 
 _HEAD = """\
@@ -106,7 +106,7 @@ def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:
     try:
         return TargetList.model_validate(read_yaml(path.read_text(encoding="utf-8")))
     except OSError as error:
-        command = f"factory scene targets {scene} -o {shlex.quote(str(path))}"
+        command = f"factory scene targets {scene} -o {quoted(path)}"
         raise UsageError(
             f"cannot read targets file {path} ({os_reason(error)}); use all targets without --targets, or create "
             f"the file with `{command}`"

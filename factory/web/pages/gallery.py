@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -11,10 +12,12 @@ from starlette.routing import Route
 
 from factory.web.context import context_of, page
 from factory.web.frames import TooBusy
+from factory.web.pages import farm
 from factory.web.pages.episodes import page_links, query_url
 from factory.web.pages.find import find_episode
 from factory.web.table import FirstRows, TableQuery, parse_query, read_first_rows
 from factory.web.thumbnails import THUMBNAIL_PX, dataset_version, thumbnail_urls
+from schemas.errors import FactoryError
 
 PAGE_CARDS = 24
 """Number of episodes on a page."""
@@ -23,7 +26,20 @@ _PATIENCE_S = 0.1
 
 
 def routes() -> list[Route]:
-    return [Route("/gallery", show), Route("/episodes/{episode_id}/thumbnail.jpg", show_thumbnail)]
+    return [
+        Route("/", show_home),
+        Route("/gallery", show),
+        Route("/episodes/{episode_id}/thumbnail.jpg", show_thumbnail),
+    ]
+
+
+def show_home(request: Request) -> Response:
+    """Answers with the gallery of a dataset whose run is over, otherwise with the farm page."""
+    context = context_of(request)
+    if context.farm.get().is_over and not context.workspace.is_written():
+        with contextlib.suppress(FactoryError):  # without tables, the farm page shows what the ledger knows
+            return draw(request, TableQuery())
+    return farm.show(request)
 
 
 def show(request: Request) -> Response:
