@@ -21,11 +21,13 @@ from coordinator.ledger import claims
 from coordinator.ledger.claims import held_too_long, lease_of
 from coordinator.ledger.hosts import troubled, write_memory
 from coordinator.ledger.opening import note_sandbox
+from coordinator.ledger.reading.progress import count_attempts
 from coordinator.ledger.transitions import JobRow
 from coordinator.meters import Meter
 from coordinator.periodic_tasks import PeriodicTask
 from coordinator.protocol.protocol import Terms, fail_attempt
 from coordinator.validation.validator import sandbox_of
+from schemas.errors import WorldError
 from schemas.job import episode_id
 from schemas.protocol.keys import host_of
 from schemas.protocol.messages import Fail, HostMemory
@@ -34,6 +36,9 @@ from schemas.terms import FailReason
 _SHOWN_HOSTS = 10
 _BARRED_S = 5.0
 _SANDBOX_S = 1.0
+_VIEW_S = 2.0
+_MIN_BLIND_ATTEMPTS = 20
+"""Number of attempts without a view from which on the run may end."""
 _ROOM_S = 1.0
 _MEMORY_S = 5.0
 _LEASE_LIMIT_S = 1.0
@@ -149,6 +154,8 @@ class Housekeeping:
         self._barred: frozenset[str] = frozenset()
         self._noted_sandbox: tuple[str, ...] = ()
         self._recorded_memory: dict[str, HostMemory] = {}
+        self._tried_before: Mapping[str, int] | None = None
+        self._blind = ""
 
     def table(self, admit: Callable[[], bool]) -> Mapping[str, PeriodicTask]:
         """Returns every task with its interval.
@@ -165,6 +172,7 @@ class Housekeeping:
             "note_sandbox": (_SANDBOX_S, self.note_sandbox),
             "record_memory": (_MEMORY_S, self.record_memory),
             "warn_of_barred": (_BARRED_S, self._warn_of_barred),
+            "check_views": (_VIEW_S, self.check_views),
         }
 
     def check_free_space(self) -> None:
@@ -183,6 +191,27 @@ class Housekeeping:
         if memory != self._recorded_memory:
             self._writer.submit(lambda connection: write_memory(connection, memory))
             self._recorded_memory = memory
+
+    def check_views(self) -> None:
+        """Notes whether most attempts since the start of the coordinator failed because the camera shows nothing."""
+        with self._run.ledger.reading() as connection:
+            tried = count_attempts(connection)
+        if self._tried_before is None:
+            self._tried_before = tried
+        new = {outcome: count - self._tried_before.get(outcome, 0) for outcome, count in tried.items()}
+        blind, attempts = new.get(FailReason.NO_VIEW, 0), sum(new.values())
+        if blind >= _MIN_BLIND_ATTEMPTS and 2 * blind > attempts:
+            self._blind = (
+                f"{blind} of {attempts} attempts failed because the camera shows nothing: the start view is one flat "
+                "surface, or the expert never saw its target. Check `[camera]` (field of view in degrees, height and "
+                "pitch) and the scene with `factory scene render`, correct the plan, and start in a new folder; "
+                "archived episodes are kept, and the same command goes on with the plan as it is"
+            )
+
+    def require_view(self) -> None:
+        """Raises `WorldError` if the camera of most attempts shows nothing, because the dataset would be useless."""
+        if self._blind:
+            raise WorldError(self._blind)
 
     def _expire(self) -> None:
         self._check_clock()

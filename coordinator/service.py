@@ -76,7 +76,7 @@ class Coordinator(Closing):
         terms = self._terms_of(plan, scenes, options, room)
         with ExitStack() as stack:
             self._run = run = open_context(stack, root, terms, options)
-            housekeeping = Housekeeping(run, room, options.elapsed)
+            self._housekeeping = housekeeping = Housekeeping(run, room, options.elapsed)
             stack.callback(housekeeping.note_sandbox)
             self._tables = TableWriter(run, options.gate)
             stack.callback(self._tables.write_splits)
@@ -84,6 +84,7 @@ class Coordinator(Closing):
             self._pullers = stack.enter_context(self._open_pullers(run, options.find_local_bundle, root, scenes))
             stack.callback(run.checker.close)  # before the pullers end, so they do not wait for a long validation
             housekeeping.check_free_space()
+            housekeeping.check_views()
             self._handler = handler = stack.enter_context(self._open_request_handler(run, options.on_joined))
             self._router = stack.enter_context(_open_router(run, options, handler))
             self._periodic_tasks = [stack.enter_context(PeriodicTasks(housekeeping.table(self._router.admit)))]
@@ -123,7 +124,9 @@ class Coordinator(Closing):
 
         Raises:
             RuntimeError: the coordinator fails by an error of this software that repetition cannot change.
+            WorldError: the camera of most attempts shows nothing.
         """
+        self._housekeeping.require_view()
         self._pullers.require_no_fault()
         self._handler.require_no_fault()
         for tasks in self._periodic_tasks:
@@ -141,7 +144,7 @@ class Coordinator(Closing):
             Whether the run is finished.
 
         Raises:
-            RuntimeError: see `is_finished`.
+            RuntimeError, WorldError: see `is_finished`.
         """
         stop = stop or threading.Event()
         left = timeout_s

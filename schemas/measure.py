@@ -26,6 +26,8 @@ from schemas.support.numpy_types import Floats
 from schemas.terms import SuccessMeasure
 
 _OUTLINE_POINTS = 97
+_FLAT = 0.02
+"""Largest difference of the depths of one flat surface, as a share of the largest depth."""
 
 
 STOPPED_RPS = 0.05
@@ -218,3 +220,14 @@ def target_in_view(ids: NDArray[np.uint16], instance_id: int, min_pixels: int) -
         min_pixels: smallest mask of a visible target, pixels (`gains.min_mask_px` of the job).
     """
     return int(np.count_nonzero(ids == instance_id)) >= min_pixels
+
+
+def shows_nothing(depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> bool:
+    """Returns whether a frame is one flat surface or empty: a single id, and depths that differ by at most 2 %.
+
+    Args:
+        depth: (H, W) metres along the optical axis; 0 where no surface was hit.
+        ids: (H, W) instance ids.
+    """
+    nearest, farthest = float(depth.min()), float(depth.max())
+    return farthest - nearest <= _FLAT * farthest and bool((ids == ids[0, 0]).all())

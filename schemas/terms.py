@@ -118,7 +118,7 @@ class EndReason(StrEnum):
 
 
 class FailReason(StrEnum):
-    """Reason why an attempt produced no episode; the first seven count against the attempt budget."""
+    """Reason why an attempt produced no episode; the first eight count against the attempt budget."""
 
     SPAWN = "spawn"  # no valid start pose was found
     COLLISION = "collision"  # the expert stalled at an obstacle
@@ -126,6 +126,7 @@ class FailReason(StrEnum):
     NO_PATH = "no_path"  # the planner found no drivable path
     CONTACT = "contact"  # the robot touched something in more steps than the plan allows
     NOT_IN_VIEW = "not_in_view"  # the last frame does not show the target, although the plan requires it
+    NO_VIEW = "no_view"  # the start view is one flat surface, or an expert that uses images never saw the target
     LAYOUT = "layout"  # the seed of a layout gives no valid layout, or one that cannot fulfil the plan
     INVALID = "invalid"  # validation rejected the bundle
     CRASH = "crash"  # the simulation process crashed

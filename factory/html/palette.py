@@ -47,6 +47,7 @@ COLOURS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "no_path": ("#5f8f3f", "#93c46f"),
         "contact": ("#4f6d8f", "#84a5cb"),
         "not_in_view": ("#7d5a45", "#b08c74"),
+        "no_view": ("#6b6f2a", "#a9ad5e"),
         "other": ("#858f9c", "#8b96a5"),
     }
 )
@@ -75,6 +76,7 @@ REASON_COLOURS = MappingProxyType(
         FailReason.NO_PATH: "no_path",
         FailReason.CONTACT: "contact",
         FailReason.NOT_IN_VIEW: "not_in_view",
+        FailReason.NO_VIEW: "no_view",
     }
 )
 DASHES = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)), (0, (9, 3)), (0, (1, 3)), (0, (3, 1, 1, 1, 1, 1)))

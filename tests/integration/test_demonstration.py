@@ -10,11 +10,11 @@ import pytest
 
 from coordinator.validation.validate import validate
 from schemas.bundle import BundleReader
-from schemas.config import DemonstrationConfig, TaskConfig
+from schemas.config import CameraConfig, DemonstrationConfig, TaskConfig
 from schemas.instruction.templates import instruction
 from schemas.job import Job
 from schemas.scene import CompiledScene, encode_scene
-from schemas.terms import ExpertName, FailReason, SuccessMeasure, Tier
+from schemas.terms import ExpertName, FailReason, Recording, SuccessMeasure, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.experts.planner import STOPPED_M
@@ -86,3 +86,29 @@ def test_an_attempt_that_is_not_required_to_show_the_target_records_that_the_tar
     assert outcome.meta.rollout.target_in_view is False
     with BundleReader(out) as bundle:
         assert validate(bundle, job, scene.info.targets[:1]) == []
+
+
+@pytest.mark.parametrize("record", list(Recording))
+def test_an_attempt_whose_first_frame_is_one_flat_surface_fails(tmp_path: Path, record: Recording) -> None:
+    scene = build_scene((*ROOM, RACK))
+    above = CameraConfig(z_m=9.5, far_m=1.0)  # no surface within the clip range
+    job = planner_job(scene, camera=above, demonstration=DemonstrationConfig(), record=record)
+    outcome, _ = attempted(scene, job, tmp_path)
+    assert isinstance(outcome, AttemptFailure)
+    assert (outcome.reason, outcome.steps > 0) == (FailReason.NO_VIEW, True)
+    assert "one flat surface" in outcome.detail
+
+
+def test_an_expert_that_never_saw_its_target_fails_for_this_reason(tmp_path: Path) -> None:
+    scene = build_scene((*ROOM, RACK))
+    job = planner_job(
+        scene,
+        camera=CameraConfig(z_m=9.5, far_m=1.0),
+        demonstration=DemonstrationConfig(),
+        expert=ExpertName.PROPORTIONAL,
+        task=TaskConfig(max_steps=5),
+    )
+    outcome, _ = attempted(scene, job, tmp_path)
+    assert isinstance(outcome, AttemptFailure)
+    assert outcome.reason is FailReason.NO_VIEW
+    assert "never in view" in outcome.detail

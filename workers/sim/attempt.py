@@ -16,7 +16,7 @@ from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.episode import EpisodeMeta, Provenance, Rollout, Route, format_of
 from schemas.instruction.referents import referents_of
 from schemas.job import Job
-from schemas.measure import measure_track
+from schemas.measure import measure_track, shows_nothing
 from schemas.scene import SceneInfo, Target
 from schemas.terms import EndReason, FailReason, Recording
 from workers.experts import Expert, make_expert
@@ -148,7 +148,13 @@ def _drive_and_seal(
     rollout = drive(job, target, world, context.renderer, expert, attempt.on_step, context.timer)
     poses = rollout.arrays.poses
     if rollout.end_reason is not EndReason.SUCCESS:
+        if rollout.steps_visible == 0 and not job.is_false_premise:
+            return AttemptFailure(FailReason.NO_VIEW, f"the target was never in view; {rollout.end}", len(poses))
         return AttemptFailure(FailReason(rollout.end_reason), rollout.end, len(poses))
+    first = context.renderer.render_depth_and_ids(Pose.of(poses[0]))
+    if shows_nothing(first.depth, first.ids):
+        detail = f"the view from {_pose_text(start)} is one flat surface"
+        return AttemptFailure(FailReason.NO_VIEW, detail, len(poses))
     # frames are rendered after the success only, because those of a failed attempt would be discarded
     writer, shown = BundleWriter(attempt.out, context.timer), None
     if job.record is Recording.STATES:

@@ -62,7 +62,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         by_tier=by_tier,
         by_split=_count_by(connection, cells, "split"),
         redrawn=connection.execute(_sum_of(cells).where(cells.c.superseded)).scalar_one() or 0,
-        attempts={row.outcome: row.attempts for row in _attempts(connection)},
+        attempts=count_attempts(connection),
         workers=_workers(connection, now, facts.lease_ttl_s),
         hosts=troubled(connection),
         layouts=layouts,
@@ -78,6 +78,11 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
 def count_frames(connection: Connection) -> int:
     """Returns the number of frames in the archived episodes."""
     return sum(int(row.steps) for row in _attempts(connection) if row.outcome == SUCCESS)
+
+
+def count_attempts(connection: Connection) -> dict[str, int]:
+    """Returns the number of attempts by outcome: `success` or the fail reason."""
+    return {row.outcome: row.attempts for row in _attempts(connection)}
 
 
 def _attempts(connection: Connection) -> list[Row[Any]]:

@@ -9,7 +9,7 @@ import pytest
 
 from schemas.config import TaskConfig
 from schemas.errors import WorldError
-from schemas.measure import Goal
+from schemas.measure import Goal, shows_nothing
 from schemas.support.geometry import footprint_distances
 from schemas.terms import SuccessMeasure
 from tests.builders.scene import box_room
@@ -95,3 +95,13 @@ def test_the_surface_measure_is_refused_for_a_target_without_footprint_with_both
     assert Goal.of(target, TaskConfig()).distance(*target.centroid_m[:2]) == 0.0
     with pytest.raises(WorldError, match=r"factory scene build.*task\.success = \"centroid\""):
         Goal.of(target, TaskConfig(success=SuccessMeasure.SURFACE))
+
+
+@pytest.mark.parametrize(
+    ("far_m", "other_id", "nothing"),
+    [(2.0, 0, True), (2.03, 0, True), (2.2, 0, False), (2.0, 7, False), (0.0, 0, True)],
+)
+def test_a_frame_of_one_flat_surface_shows_nothing(far_m: float, other_id: int, nothing: bool) -> None:
+    depth, ids = np.full((4, 4), min(2.0, far_m), np.float32), np.zeros((4, 4), np.uint16)
+    depth[3, 3], ids[0, 0] = far_m, other_id
+    assert shows_nothing(depth, ids) is nothing
