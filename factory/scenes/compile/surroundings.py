@@ -96,9 +96,10 @@ def _outermost(boxed: _Boxed) -> Iterator[tuple[str, Bools]]:
     is_high = (boxed.highs - boxed.lows)[:, 2] > _FLAT_M
     if np.count_nonzero(is_high) < 2:
         return
+    named = _named(boxed.parts)
     low, high = boxed.lows[is_high].min(axis=0), boxed.highs[is_high].max(axis=0)
     reached = np.column_stack((boxed.lows[:, :2] <= low[:2] + _SAME_M, boxed.highs >= high - _SAME_M))
-    reached[~is_high & ~_named(boxed.parts)] = False
+    reached[~is_high & ~named] = False
     sides: dict[str, Bools] = defaultdict(lambda: np.zeros(5, bool))
     for row in np.flatnonzero(reached.any(axis=1)):
         steps = boxed.parts[row].path.split("/")
@@ -109,14 +110,13 @@ def _outermost(boxed: _Boxed) -> Iterator[tuple[str, Bools]]:
         rows = (paths == path) | np.char.startswith(paths, f"{path}/")
         yield path, rows
         if len(set(paths[rows])) == 1:  # a prim with several materials
-            yield from ((path, _row(len(paths), row)) for row in np.flatnonzero(rows & reached.all(axis=1)))
-    if _named(boxed.parts).any():  # the sides of a box may be separate prims
-        named = _named(boxed.parts)
+            yield from ((path, _row(len(paths), row)) for row in np.flatnonzero(rows & reached.all(axis=1)).tolist())
+    if named.any():  # the sides of a box may be separate prims
         yield str(paths[named][0]).rpartition("/")[0] or "/", named
 
 
-def _row(count: int, row: np.intp) -> Bools:
-    return np.arange(count) == row
+def _row(count: int, row: int) -> Bools:
+    return np.asarray(np.arange(count) == row)
 
 
 def _named(parts: Sequence[Part]) -> Bools:
