@@ -101,7 +101,7 @@ def _outermost(boxed: _Boxed) -> Iterator[tuple[str, Bools]]:
     reached = np.column_stack((boxed.lows[:, :2] <= low[:2] + _SAME_M, boxed.highs >= high - _SAME_M))
     reached[~is_high & ~named] = False
     sides: dict[str, Bools] = defaultdict(lambda: np.zeros(5, bool))
-    for row in np.flatnonzero(reached.any(axis=1)):
+    for row in np.flatnonzero(reached.any(axis=1)).tolist():
         steps = boxed.parts[row].path.split("/")
         for count in range(2, len(steps) + 1):
             sides["/".join(steps[:count])] |= reached[row]

@@ -87,7 +87,7 @@ WALLS = above(faces(box(12, 12, 8)), -8)
 BUILDINGS = {
     "a room of one mesh": [faces(box(4, 3, 1.3), (0, 0, 1.3), is_inside=True), TABLE],
     "a high hall of one mesh": [faces(box(30, 20, 6), (0, 0, 6), is_inside=True), TABLE],
-    "a high hall with a floor of its own": [faces(box(20, 20, 6), (0, 0, 6), is_inside=True), WIDE_FLOOR, TABLE],
+    "a high hall with a separate floor": [faces(box(20, 20, 6), (0, 0, 6), is_inside=True), WIDE_FLOOR, TABLE],
     "a hall with a floor above its foundation": [faces(box(20, 20, 6), (0, 0, 5)), faces(plane(19.8, 19.8)), TABLE],
     "a house on a ground plane": [faces(box(5, 5, 1.5), (0, 0, 1.5)), faces(plane(50, 50)), TABLE],
     "a hall without bottom on a ground plane": [
