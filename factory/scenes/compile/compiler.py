@@ -229,6 +229,7 @@ def _assemble(
         info=info,
         **{field.name: getattr(geometry, field.name) for field in fields(geometry)},
         textures=book.layers,
+        masks=book.masks,
         collider_vertices=collider[0],
         collider_triangles=collider[1],
         occupancy=terrain.grid.occupancy,
