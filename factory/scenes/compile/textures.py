@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -41,7 +41,7 @@ class TextureBook:
     mean_of: Mapping[str, tuple[float, float, float]]
     """Texture path -> linear mean colour, for every readable texture."""
     notes: tuple[str, ...]
-    masks: Mapping[int, NDArray[np.uint8]] = MappingProxyType({})
+    masks: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
     """Masks (512, 512) of the layers that cut holes; see `CompiledScene.masks`."""
 
 
