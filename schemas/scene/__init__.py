@@ -3,9 +3,10 @@
 Does not compile scenes; `factory.scenes` does.
 """
 
-from schemas.scene.compiled import SCENE_ARRAYS, CompiledScene, Layer
+from schemas.scene.compiled import DRAWN, SCENE_ARRAYS, CompiledScene, Layer
 from schemas.scene.files import read_complete, read_geometry, read_info, read_scene
 from schemas.scene.info import (
+    CUTOUT_FORMAT,
     LAYOUT_FORMAT,
     MAX_INSTANCES,
     MAX_LIGHT_MAP_PX,
@@ -29,6 +30,8 @@ from schemas.scene.package import (
 )
 
 __all__ = [
+    "CUTOUT_FORMAT",
+    "DRAWN",
     "LAYOUT_FORMAT",
     "MAX_INSTANCES",
     "MAX_LIGHT_MAP_PX",

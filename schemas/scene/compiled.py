@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,18 @@ class CompiledScene:
     """(S, 2) surveyed floor points x, y at which base_link fits with at least one heading, metres."""
     spawn_sees: NDArray[np.uint8]
     """(S, targets) 1 where the straight line from the spawn to the target's success circle is free."""
+    masks: Mapping[int, NDArray[np.uint8]] = field(default_factory=dict)
+    """Masks (512, 512) of the texture layers that cut holes, by layer, top row first: a point with a value of at least
+    `DRAWN` is drawn, the others are holes in colour, depth and ids. Empty without such layers, or without textures."""
+
+    @property
+    def part_is_cut(self) -> NDArray[np.bool_]:
+        """(P,) whether the texture of each part cuts holes."""
+        return np.isin(self.part_texture, list(self.masks))
+
+
+DRAWN = 128
+"""Least value of a mask at which a surface is drawn."""
 
 
 SCENE_ARRAYS = {
@@ -81,6 +94,9 @@ SCENE_ARRAYS = {
     )
 }
 """Specs of the arrays of a scene except its textures, by name."""
+MASK_LAYERS_SPEC = ArraySpec("mask_layers", (None,), dtype=np.int16, unit="layer", low=0, high=63)
+MASKS_SPEC = ArraySpec("masks", (None, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX), np.uint8, "1")
+"""Specs of the members of a package of format 5 that contain `CompiledScene.masks`."""
 TEXTURES_SPEC = ArraySpec("textures", (None, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3), np.uint8, "sRGB")
 """Spec of the member of a package of format 3 that contains all texture layers."""
 
@@ -97,6 +113,7 @@ def contradictions(scene: CompiledScene) -> list[str]:
         and len(scene.part_texture) == len(scene.part_first),
         "parts are within the vertices": bool((scene.part_first.astype(np.int64) + scene.part_count <= vertices).all()),
         "parts refer to existing texture layers": bool((scene.part_texture < scene.info.texture_count).all()),
+        "masks belong to existing texture layers": all(0 <= layer < scene.info.texture_count for layer in scene.masks),
         "texture_count is the number of textures": len(scene.textures) in (0, scene.info.texture_count),
         "collider triangles refer to vertices": bool((scene.collider_triangles < len(scene.collider_vertices)).all()),
         "all grids have the same shape": scene.occupancy.shape == scene.reachable.shape,

@@ -15,6 +15,8 @@ SCENE_FORMAT = 3
 """Version of a package that contains its textures. A reader also opens format 2, which has no footprints."""
 LAYOUT_FORMAT = 4
 """Version of a package whose textures are separate files, which many layouts share."""
+CUTOUT_FORMAT = 5
+"""Version of a package of format 3 with masks of textures. Former readers refuse it, because they would draw solid."""
 TEXTURES = "textures"
 """Folder beside packages with the files of the texture layers that they share."""
 TEXTURE_SIZE_PX = 512

@@ -2,7 +2,7 @@
 
 A package of format 3 contains its textures. One of format 4 lists their files, which the caller provides, and stores
 vertex positions and light maps losslessly in arrays that compress better; a complete package contains the textures,
-too (`schemas.scene.complete`).
+too (`schemas.scene.complete`). A package of format 5 is one of format 3 with masks of textures that cut holes.
 """
 
 from __future__ import annotations
@@ -20,8 +20,16 @@ from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.ndarray import compress, decode_npy_zst, decompress, encode_npy_zst
 from schemas.errors import InvalidBundle
-from schemas.scene.compiled import SCENE_ARRAYS, TEXTURES_SPEC, CompiledScene, Layer, contradictions
-from schemas.scene.info import LAYOUT_FORMAT, MAX_TEXTURES, SCENE_FORMAT, SceneInfo, TextureFile
+from schemas.scene.compiled import (
+    MASK_LAYERS_SPEC,
+    MASKS_SPEC,
+    SCENE_ARRAYS,
+    TEXTURES_SPEC,
+    CompiledScene,
+    Layer,
+    contradictions,
+)
+from schemas.scene.info import CUTOUT_FORMAT, LAYOUT_FORMAT, MAX_TEXTURES, SCENE_FORMAT, SceneInfo, TextureFile
 from schemas.scene.textures import ReadTexture, encode_texture, load_texture
 
 PLACES = ArraySpec("places", (None, 3), dtype=np.float32, unit="m", low=-1e4, high=1e4)
@@ -76,7 +84,7 @@ MAX_SCENE_BYTES = 512 << 20
 """Largest size of a package and of each of its members, bytes."""
 PACKAGE_LIMITS = ContainerLimits(members=64 + MAX_TEXTURES, member_bytes=MAX_SCENE_BYTES)
 """Limits of a complete package."""
-_READABLE = (2, SCENE_FORMAT, LAYOUT_FORMAT)
+_READABLE = (2, SCENE_FORMAT, LAYOUT_FORMAT, CUTOUT_FORMAT)
 _INFO, _SMALL_INFO = "scene.json", "scene.json.zst"
 _MAX_INFO_BYTES = 256 << 20
 _SMALLER: dict[str, tuple[Callable[..., NDArray[Any]], tuple[ArraySpec, ...]]] = {
@@ -110,9 +118,12 @@ def encode_scene(scene: CompiledScene, level: int = 9) -> bytes:
     info = scene.info
     if info.format == LAYOUT_FORMAT:
         info = info.model_copy(update={"format": SCENE_FORMAT, "textures": ()})
+    if scene.masks:
+        info = info.model_copy(update={"format": CUTOUT_FORMAT})
     arrays = {name: getattr(scene, name) for name in SCENE_ARRAYS} | {"textures": _stacked(scene)}
-    order = [field.name for field in fields(scene) if field.name != "info"]
-    return _pack(_INFO, _info_json(info), {name: arrays[name] for name in order}, level)
+    order = [field.name for field in fields(scene) if field.name in arrays]
+    members = {name: arrays[name] for name in order} | _masks_of(scene)
+    return _pack(_INFO, _info_json(info), members, level)
 
 
 def encode_layout(scene: CompiledScene, level: int = 9) -> LayoutPackage:
@@ -124,6 +135,8 @@ def encode_layout(scene: CompiledScene, level: int = 9) -> LayoutPackage:
     """
     encoded = [encode_texture(layer) for layer in scene.textures]
     files = tuple(file for file, _ in encoded)
+    if scene.masks:
+        raise ValueError(f"scene {scene.info.name} has masks, which a package of format {LAYOUT_FORMAT} cannot store")
     info = SceneInfo.model_validate(dict(scene.info) | {"format": LAYOUT_FORMAT, "textures": files})
     places, steps = split_positions(scene.positions)
     smaller = {"places": places, "place_steps": steps, "light_steps": split_light(scene.light_map)}
@@ -180,6 +193,22 @@ def _info_json(info: SceneInfo) -> bytes:
     return info.model_dump_json(indent=1, exclude=unused).encode()
 
 
+def _masks_of(scene: CompiledScene) -> dict[str, NDArray[Any]]:
+    """Returns the members of format 5; empty without masks."""
+    if not scene.masks:
+        return {}
+    layers = sorted(scene.masks)
+    masks = np.stack([scene.masks[layer] for layer in layers])
+    return {MASK_LAYERS_SPEC.name: np.array(layers, np.int16), MASKS_SPEC.name: masks}
+
+
+def _read_masks(reader: ContainerReader) -> dict[int, NDArray[np.uint8]]:
+    layers, masks = (_read_array(reader, spec) for spec in (MASK_LAYERS_SPEC, MASKS_SPEC))
+    if len(layers) != len(masks) or len(set(layers.tolist())) != len(layers):
+        raise InvalidBundle("scene refused", [f"{len(masks)} masks for the texture layers {layers.tolist()[:5]}"])
+    return dict(zip(layers.tolist(), masks, strict=True))
+
+
 def _stacked(scene: CompiledScene) -> NDArray[np.uint8]:
     if len(scene.textures) != scene.info.texture_count:
         raise ValueError(f"scene {scene.info.name} was read without the pixels of its textures")
@@ -201,7 +230,9 @@ def _decode(reader: ContainerReader, layers: Callable[[SceneInfo], tuple[Layer, 
         stray = set(reader.names) - _LAYOUT_MEMBERS - {texture.file for texture in info.textures}
         if stray:
             raise InvalidBundle("scene refused", [f"members that format 4 does not have: {sorted(stray)[:5]}"])
-    scene = CompiledScene(info=info, **dict(_arrays(reader, info)), textures=layers(info))
+    textures = layers(info)
+    masks = _read_masks(reader) if info.format == CUTOUT_FORMAT and textures else {}
+    scene = CompiledScene(info=info, **dict(_arrays(reader, info)), textures=textures, masks=masks)
     findings = contradictions(scene)
     if findings:
         raise InvalidBundle("scene refused", findings)

@@ -122,7 +122,7 @@ def _repaint(scene: CompiledScene, changes: tuple[SurfaceChange, ...]) -> Compil
     for part, (first, count) in enumerate(zip(scene.part_first.tolist(), scene.part_count.tolist(), strict=True)):
         corner_colours = of_vertex[first : first + count]
         chosen = corner_colours[corner_colours >= 0]
-        if len(chosen) and layer_of[chosen].max() >= 0:
+        if len(chosen) and layer_of[chosen].max() >= 0 and layers[part] not in scene.masks:
             number = chosen[np.argmax(layer_of[chosen])]
             layers[part] = layer_of[number]
             uvs[first : first + count] = planar_uvs(scene.positions[first : first + count], float(tile_of[number]))

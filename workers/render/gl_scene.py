@@ -5,6 +5,7 @@ Selects the visible parts of a scene and draws them. Does not manage targets or 
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import moderngl
@@ -19,7 +20,7 @@ from workers.render.gl_textures import TextureStore
 from workers.render.shaders import BARE, NORMALS, PLAIN, TEXTURED, VERTEX, ShaderPair
 from workers.render.visible_parts import Edges, Occluders, PartBounds, may_reach, visible_parts, window_of_corners
 
-_TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
+_TEXTURE_UNIT, _LIGHT_UNIT, _MASK_UNIT = 0, 1, 2
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])
 """OpenGL's DrawElementsIndirectCommand."""
 _HASH_STEP, _HASH_SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(29)
@@ -37,6 +38,8 @@ class _Program:
         self._program: Any = context.program(vertex_shader=pair.vertex, fragment_shader=pair.fragment)
         if "light" in self._program:
             self._program["light"] = _LIGHT_UNIT
+        if "masks" in self._program:
+            self._program["masks"] = _MASK_UNIT
 
     def set_clip_matrix(self, clip_from_world: bytes) -> None:
         self._program["clip_from_world"].write(clip_from_world)
@@ -87,7 +90,7 @@ class DrawOrder(NamedTuple):
     parts: NDArray[np.intp]
     """Indices of the parts."""
     runs: list[int]
-    """Numbers of plain and of textured parts in each distance band, alternately."""
+    """Numbers of plain, of textured and, in a scene with masks, of cut-out parts in each distance band, by turns."""
 
 
 class GpuScene:
@@ -106,7 +109,8 @@ class GpuScene:
         """
         self.sky = scene.info.sky
         """Background of the scene; `None` is black."""
-        self._is_textured = scene.part_texture >= 0
+        self._is_cut = scene.part_is_cut
+        self._kind = (scene.part_texture >= 0).astype(np.int64) + self._is_cut
         self._bounds, self._occluders = PartBounds.of(scene), Occluders.of(scene)
         self._instances = scene.part_instance
         self._draws = np.zeros(len(scene.part_first), _DRAW)
@@ -114,12 +118,13 @@ class GpuScene:
         self._draws["instances"] = 1
         self._commands = context.buffer(reserve=max(1, self._draws.nbytes), dynamic=True)
         self._mesh = _Mesh.of(context, scene)
-        pairs = (PLAIN, TEXTURED) if _has_flat_colours(scene) else (PLAIN.blended(), TEXTURED.blended())
+        pairs = [PLAIN, TEXTURED] if _has_flat_colours(scene) else [PLAIN.blended(), TEXTURED.blended()]
+        pairs += [pairs[1].cut_out()] if scene.masks else []
         self._coloured = [programs.of(pair) for pair in pairs]
-        self._bare = programs.of(BARE)
-        self._plain, self._textured = (program.vertex_array(self._mesh) for program in self._coloured)
-        self._uncoloured = self._bare.vertex_array(self._mesh)
-        self._programs, self._normals = programs, list[moderngl.VertexArray]()
+        self._by_kind = [program.vertex_array(self._mesh) for program in self._coloured]
+        self._programs = programs
+        self._solid_and_cut: dict[ShaderPair, list[tuple[_Program, moderngl.VertexArray]]] = {}
+        self._masks = _upload_masks(context, scene) if scene.masks else None
         self._textures = textures.upload(scene.textures)
         self._light = _upload_light(context, scene.light_map)
 
@@ -128,7 +133,7 @@ class GpuScene:
         seen = visible_parts(self._bounds, clip, optical.eye)
         parts = seen[~self._occluders.hidden(self._bounds, seen, optical, image)]
         count = len(parts)
-        run = np.arange(count) * _BANDS // max(count, 1) * 2 + self._is_textured[parts]
+        run = np.arange(count) * _BANDS // max(count, 1) * len(self._by_kind) + self._kind[parts]
         return DrawOrder(parts[np.argsort(run, kind="stable")], np.bincount(run).tolist())
 
     def window_of(
@@ -158,38 +163,58 @@ class GpuScene:
             program.set_clip_matrix(clip_from_world)
         self._light.use(_LIGHT_UNIT)
         self._textures.use(_TEXTURE_UNIT)
+        if self._masks is not None:
+            self._masks.use(_MASK_UNIT)
         self._write_commands(drawn.parts)
         first = 0
         for run, count in enumerate(drawn.runs):
             if count:
-                (self._plain, self._textured)[run % 2].render_indirect(self._commands, count=count, first=first)
+                self._by_kind[run % len(self._by_kind)].render_indirect(self._commands, count=count, first=first)
             first += count
 
     def draw_bare(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
         """Draws depth and ids of parts in the given order, which decides between surfaces of equal depth."""
-        self._bare.set_clip_matrix(clip_from_world)
-        if len(parts):
-            self._write_commands(parts)
-            self._uncoloured.render_indirect(self._commands, count=len(parts))
+        self._draw_in_order(parts, self._pairs_of(BARE, clip_from_world))
 
     def draw_normals(self, parts: NDArray[np.intp], clip_from_world: bytes, eye: NDArray[np.float64]) -> None:
         """Draws encoded normals instead of colour, depth and ids of parts, see `shaders.NORMALS`."""
-        program = self._programs.of(NORMALS)
-        if not self._normals:
-            self._normals.append(program.vertex_array(self._mesh))
-        program.set_clip_matrix(clip_from_world)
-        program.set_eye(eye)
-        if len(parts):
-            self._write_commands(parts)
-            self._normals[0].render_indirect(self._commands, count=len(parts))
+        pairs = self._pairs_of(NORMALS, clip_from_world)
+        for program, _ in pairs:
+            program.set_eye(eye)
+        self._draw_in_order(parts, pairs)
+
+    def _pairs_of(self, pair: ShaderPair, clip_from_world: bytes) -> list[tuple[_Program, moderngl.VertexArray]]:
+        """Returns the programs of solid and, in a scene with masks, of cut-out parts, with their vertex arrays."""
+        if pair not in self._solid_and_cut:
+            programs = [self._programs.of(each) for each in ((pair, pair.cut_out()) if self._masks else (pair,))]
+            self._solid_and_cut[pair] = [(program, program.vertex_array(self._mesh)) for program in programs]
+        for program, _ in self._solid_and_cut[pair]:
+            program.set_clip_matrix(clip_from_world)
+        return self._solid_and_cut[pair]
+
+    def _draw_in_order(self, parts: NDArray[np.intp], pairs: list[tuple[_Program, moderngl.VertexArray]]) -> None:
+        if not len(parts):
+            return
+        self._write_commands(parts)
+        if self._masks is None:
+            pairs[0][1].render_indirect(self._commands, count=len(parts))
+            return
+        self._masks.use(_MASK_UNIT)
+        first = 0
+        for is_cut, run in groupby(self._is_cut[parts].tolist()):
+            count = len(list(run))
+            pairs[is_cut][1].render_indirect(self._commands, count=count, first=first)
+            first += count
 
     def _write_commands(self, parts: NDArray[np.intp]) -> None:
         self._commands.write(self._draws[parts].tobytes())
 
     def close(self) -> None:
-        arrays: list[Any] = [self._plain, self._textured, self._uncoloured, *self._normals]
-        for held in (*arrays, *self._mesh, self._commands, self._textures, self._light):
-            held.release()
+        arrays = [array for pairs in self._solid_and_cut.values() for _, array in pairs]
+        masks = [] if self._masks is None else [self._masks]
+        held: tuple[Any, ...] = (*self._by_kind, *arrays, *self._mesh, self._commands, self._textures, self._light)
+        for resource in (*held, *masks):
+            resource.release()
 
 
 def _unique_rows(vertices: NDArray[np.void]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -227,6 +252,16 @@ def _interleave(scene: CompiledScene) -> NDArray[np.void]:
         run = slice(first, first + count)
         vertices["instance"][run], vertices["layer"][run] = instance, layer
     return vertices
+
+
+def _upload_masks(context: moderngl.Context, scene: CompiledScene) -> moderngl.TextureArray:
+    """Uploads the masks at the places of their layers; the other layers of the array are not used."""
+    height, width = next(iter(scene.masks.values())).shape
+    array = context.texture_array((width, height, max(scene.masks) + 1), 1)
+    for layer, mask in scene.masks.items():
+        array.write(np.ascontiguousarray(mask[::-1]), (0, 0, layer, width, height, 1))
+    array.filter = (moderngl.LINEAR, moderngl.LINEAR)
+    return array
 
 
 def _upload_light(context: moderngl.Context, light_map: NDArray[np.uint8]) -> moderngl.Texture:

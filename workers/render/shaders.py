@@ -43,6 +43,23 @@ class ShaderPair(NamedTuple):
             fragment=self.fragment.replace("flat in vec3", "in vec3"),
         )
 
+    def cut_out(self) -> ShaderPair:
+        """Returns the pair for parts whose texture cuts holes: it discards the points that its mask does not draw."""
+        head, layout, fields = "", self.layout, self.fields
+        vertex, fragment = self.vertex, self.fragment
+        if "uv" not in fields:
+            layout, fields = "3f4 2f4 12x 1u2 1i2", ("position", "uv", "instance", "layer")
+            vertex = vertex.replace("void main() {", _UV_OUT + "void main() {\n    frag_uv = uv; frag_layer = layer;")
+            head = "in vec2 frag_uv; flat in int frag_layer;\n"
+        head += "uniform sampler2DArray masks;\nvoid main() {"
+        # at the end, because derivatives are undefined after a discard
+        fragment = fragment.replace("void main() {", head).rstrip().removesuffix("}") + _DISCARD + "}\n"
+        return ShaderPair(vertex, fragment, layout, fields)
+
+
+_UV_OUT = "in vec2 uv; in int layer; out vec2 frag_uv; flat out int frag_layer;\n"
+_DISCARD = "    if (textureLod(masks, vec3(frag_uv, float(frag_layer)), 0.0).r < 0.5) discard;\n"
+"""The full mask without mipmaps, whose means would close or open all holes of distant leaves."""
 
 PLAIN = ShaderPair(
     """

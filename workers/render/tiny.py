@@ -1,7 +1,7 @@
 """Fallback renderer with PyBullet's TinyRenderer, which needs no driver and has about a twentieth of OpenGL's speed.
 
 Each part has its texture, mean colour and mean light, because TinyRenderer supports neither colours nor light
-per vertex.
+per vertex. Parts whose texture cuts holes are divided into small triangles, of which those in holes are omitted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.frame import Frame
 from schemas.rig import Camera
-from schemas.scene import CompiledScene, Layer
+from schemas.scene import DRAWN, CompiledScene, Layer
 from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import OpticalPose, Perspective, optical_pose, view_matrix
@@ -154,16 +154,76 @@ class TinyScene:
         light = _light_at_vertices(scene)
         for part, run in _runs(scene):
             rgb = scene.colours[run].mean(axis=0) / 255 * light[run].mean(axis=0)
-            body = self.client.add_visual(scene.positions[run], scene.uvs[run], (rgb[0], rgb[1], rgb[2]))
-            instances[body] = int(scene.part_instance[part])
-            if scene.part_texture[part] >= 0:
-                self.client.set_texture(body, textures[scene.part_texture[part]])
+            for positions, uvs in _shapes(scene, part, run):
+                body = self.client.add_visual(positions, uvs, (rgb[0], rgb[1], rgb[2]))
+                instances[body] = int(scene.part_instance[part])
+                if scene.part_texture[part] >= 0:
+                    self.client.set_texture(body, textures[scene.part_texture[part]])
         self.instance_of_body = np.zeros(max(instances, default=0) + 1, np.uint16)
         for body, instance in instances.items():
             self.instance_of_body[body] = instance
 
     def close(self) -> None:
         self.client.close()
+
+
+def _shapes(scene: CompiledScene, part: int, run: slice) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Yields vertices and texture coordinates of the shapes of a run; more than one if its texture cuts holes."""
+    positions, uvs = scene.positions[run], scene.uvs[run]
+    if not scene.part_is_cut[part]:
+        yield positions, uvs
+        return
+    positions, uvs = cut_holes(positions, uvs, scene.masks[int(scene.part_texture[part])])
+    for first in range(0, len(positions), 3 * MESH_TRIANGLES):
+        yield positions[first : first + 3 * MESH_TRIANGLES], uvs[first : first + 3 * MESH_TRIANGLES]
+
+
+_FINEST, _COARSEST = 1 / 64, 1 / 8
+"""Sides of the smallest and of the largest small triangles, as shares of a mask."""
+_MOST_CUT = 400_000
+"""Number of small triangles of a part from which on they are not divided again."""
+_SPOTS = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6
+"""(28, 3) places in a triangle at which its mask is tested."""
+
+
+def cut_holes(
+    positions: NDArray[np.float32], uvs: NDArray[np.float32], mask: NDArray[np.uint8]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Returns the vertices and texture coordinates of the small triangles of a part that are not in holes of its mask.
+
+    Args:
+        positions: (V, 3) corners of triangles, metres.
+        uvs: (V, 2) texture coordinates.
+        mask: (H, W) mask, top row first.
+    """
+    corners = np.concatenate((positions, uvs), axis=1).astype(np.float64).reshape(-1, 3, 5)
+    kept = list[NDArray[np.float64]]()
+    while len(corners):
+        sides = np.linalg.norm(corners[..., 3:] - np.roll(corners[..., 3:], 1, axis=1), axis=2).max(axis=1)
+        share = _drawn(corners[..., 3:], mask).mean(axis=1)
+        is_mixed = (sides > _COARSEST) | ((share > 0) & (share < 1) & (sides > _FINEST))
+        if sum(map(len, kept)) + 4 * np.count_nonzero(is_mixed) > _MOST_CUT:
+            is_mixed[:] = False
+        kept.append(corners[~is_mixed & (share >= 0.5)])
+        corners = _quartered(corners[is_mixed])
+    small = np.concatenate(kept).reshape(-1, 5).astype(np.float32)
+    return small[:, :3], small[:, 3:]
+
+
+def _drawn(uvs: NDArray[np.float64], mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Returns whether each triangle (T, 3, 2) is drawn at each of the places `_SPOTS`."""
+    rows, columns = mask.shape
+    u, v = np.moveaxis(np.einsum("sk,tkc->tsc", _SPOTS, uvs) % 1.0, 2, 0)
+    row, column = np.minimum((1 - v) * rows, rows - 1), np.minimum(u * columns, columns - 1)
+    return np.asarray(mask[row.astype(np.int64), column.astype(np.int64)] >= DRAWN)
+
+
+def _quartered(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the four triangles of each triangle (T, 3, K) between its corners and the middles of its sides."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = [np.stack(triangle, axis=1) for triangle in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    return np.concatenate(parts)
 
 
 def _runs(scene: CompiledScene) -> Iterator[tuple[int, slice]]:

@@ -66,6 +66,15 @@ class PartBounds:
         return np.ascontiguousarray(np.column_stack((self.centre, self.half, np.ones(len(self.centre)))).T)
 
 
+def triangles_are_cut(scene: CompiledScene) -> NDArray[np.bool_]:
+    """Returns whether the texture of each triangle (T,) cuts holes."""
+    cut = np.zeros(len(scene.positions), bool)
+    for part in np.flatnonzero(scene.part_is_cut):
+        first = int(scene.part_first[part])
+        cut[first : first + int(scene.part_count[part])] = True
+    return cut[::3]
+
+
 def _spans(scene: CompiledScene, parts: NDArray[np.intp]) -> tuple[list[int], list[int]]:
     return scene.part_first[parts].tolist(), scene.part_count[parts].tolist()
 
@@ -207,7 +216,11 @@ class Occluders:
     def of(cls, scene: CompiledScene) -> Self:
         """Finds the rectangles that consist of two consecutive triangles and have parts behind them."""
         triangles = scene.positions.reshape(-1, 3, 3).astype(np.float64)
-        corners = _rectangles(triangles[:-1], triangles[1:])
+        first, second = triangles[:-1], triangles[1:]
+        if scene.masks:  # what is behind a hole is visible
+            is_whole = ~triangles_are_cut(scene)
+            first, second = (some[is_whole[:-1] & is_whole[1:]] for some in (first, second))
+        corners = _rectangles(first, second)
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
         areas = np.linalg.norm(across, axis=1)
         large = areas >= _LEAST_AREA_M2

@@ -32,7 +32,7 @@ from factory.export.vlnce.episode import (
     words_of,
 )
 from factory.runs.scene_packages import find_package
-from schemas.scene import CompiledScene, SceneInfo, read_info, read_scene
+from schemas.scene import DRAWN, CompiledScene, SceneInfo, read_info, read_scene
 from schemas.storage.place import Place
 
 PIECE_FILE = "episode.json"
@@ -172,7 +172,10 @@ def _mesh_of(scene: CompiledScene, layer: int, name: str) -> Any:
     vertices = _vertices_of(scene, layer)
     x, y, z = scene.positions[vertices].T
     texture = Image.fromarray(scene.textures[layer]) if layer >= 0 else None
-    material = PBRMaterial(name=name, metallicFactor=0.0, roughnessFactor=1.0, baseColorTexture=texture)
+    if texture is not None and layer in scene.masks:
+        texture.putalpha(Image.fromarray(scene.masks[layer]))
+    cut_out = {"alphaMode": "MASK", "alphaCutoff": DRAWN / 255} if layer in scene.masks else {}
+    material = PBRMaterial(name=name, metallicFactor=0.0, roughnessFactor=1.0, baseColorTexture=texture, **cut_out)
     return Trimesh(
         np.column_stack([x, z, -y]),
         np.arange(len(vertices)).reshape(-1, 3),

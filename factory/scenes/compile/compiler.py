@@ -19,6 +19,7 @@ from factory.scenes.compile.listing import Reachable, find_reachable, find_terra
 from factory.scenes.compile.objects import instances_of, show_parts
 from factory.scenes.compile.overhead import is_open, with_ceiling, with_floor
 from factory.scenes.compile.surfaces import triangle_areas
+from factory.scenes.compile.surroundings import without_surroundings
 from factory.scenes.compile.textures import DrawFunction, TextureBook
 from factory.scenes.importer import Extraction, Part
 from factory.scenes.light import USUAL_DETAIL, LightDetail
@@ -109,7 +110,8 @@ def compile_extraction(
     """
     rules = rules or builtin_rules()
     notes = list(extraction.notes)
-    parts = with_floor(_without_outliers(file, extraction, notes), extraction.floor_m)
+    parts, has_sky = without_surroundings(_without_outliers(file, extraction, notes), notes)
+    parts = with_floor(parts, extraction.floor_m)
     parts = with_ceiling(parts, extraction.ceiling_m)
     shown = show_parts(
         file, extraction, parts=parts, selection=(rules, chosen), has_materials=has_materials, notes=notes, draw=draw
@@ -138,7 +140,7 @@ def compile_extraction(
         floor_height_m=floor_m,
         free_area_m2=free_area_m2(terrain),
         notes=_shortened(notes),
-        sky=Sky() if is_open(shown.triangles(), survey.spawns, floor_m) else None,
+        sky=Sky() if has_sky or is_open(shown.triangles(), survey.spawns, floor_m) else None,
     )
     return _assemble(info, shown.book, geometry=geometry, collider=weld(solid), terrain=terrain, survey=survey)
 
@@ -227,6 +229,7 @@ def _assemble(
         info=info,
         **{field.name: getattr(geometry, field.name) for field in fields(geometry)},
         textures=book.layers,
+        masks=book.masks,
         collider_vertices=collider[0],
         collider_triangles=collider[1],
         occupancy=terrain.grid.occupancy,

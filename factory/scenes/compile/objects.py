@@ -120,8 +120,9 @@ def show_parts(
     if not visible:
         raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = selection
-    users = {part.surface.texture: part.path for part in reversed(visible)}
-    book = load_textures(_texture_areas(visible), partial(_read_texture, extraction), users, draw)
+    users = {part.surface.picture: part.path for part in reversed(visible)}
+    cutouts = {part.surface.picture: part.surface for part in visible if part.surface.cutout}
+    book = load_textures(_texture_areas(visible), partial(_read_texture, extraction), users, draw, cutouts)
     notes += book.notes
     found_candidates = find_candidates(
         extraction, visible, rules, lambda parts_of_target: target_colour(parts_of_target, book)
@@ -169,8 +170,8 @@ def _texture_areas(parts: Sequence[Part]) -> dict[str, float]:
     areas: dict[str, float] = {}
     for part in parts:
         if part.surface.texture:
-            known = areas.get(part.surface.texture, 0.0)
-            areas[part.surface.texture] = known + float(triangle_areas(part.triangles).sum())
+            known = areas.get(part.surface.picture, 0.0)
+            areas[part.surface.picture] = known + float(triangle_areas(part.triangles).sum())
     return areas
 
 

@@ -19,7 +19,7 @@ from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part, Surface
 from factory.scenes.rules import split_name
 from schemas.appearance.colour_names import dominant_name, linear_of, srgb_of
-from schemas.scene import TEXTURE_SIZE_PX
+from schemas.scene import DRAWN, TEXTURE_SIZE_PX
 from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats
 
@@ -108,7 +108,7 @@ def _crosses(triangles: Floats) -> Floats:
 
 def texture_layer(part: Part, book: TextureBook) -> int:
     """Returns the texture layer of a part, or -1 for a plain colour."""
-    return book.layer_of.get(part.surface.texture, -1) if part.uvs is not None else -1
+    return book.layer_of.get(part.surface.picture, -1) if part.uvs is not None else -1
 
 
 def _base(part: Part, book: TextureBook) -> Floats:
@@ -117,7 +117,7 @@ def _base(part: Part, book: TextureBook) -> Floats:
     surface = part.surface
     tint = np.array(surface.colour)
     if surface.texture and texture_layer(part, book) < 0:
-        mean = book.mean_of.get(surface.texture)
+        mean = book.mean_of.get(surface.picture)
         tint = np.array(surface.fallback) if mean is None else tint * mean
     return tint[None, None] if part.tints is None or surface.texture else part.tints[..., :3]
 
@@ -138,7 +138,7 @@ def glow_brightness(part: Part, book: TextureBook) -> float:
     """Returns the linear luminance that a part emits, 0.01..1: that of its emission colour, else of its base colour."""
     colour = np.array(part.surface.emission)
     if not colour.any():
-        colour = np.array(part.surface.colour) * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
+        colour = np.array(part.surface.colour) * book.mean_of.get(part.surface.picture, (1.0, 1.0, 1.0))
     return float(np.clip(colour @ _LUMINANCE, 0.01, 1.0))
 
 
@@ -147,7 +147,7 @@ def reflectance(part: Part, book: TextureBook) -> Floats:
     its mean colour."""
     linear = np.broadcast_to(_base(part, book), part.triangles.shape).mean(axis=1)
     if texture_layer(part, book) >= 0:
-        linear = linear * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
+        linear = linear * book.mean_of.get(part.surface.picture, (1.0, 1.0, 1.0))
     return np.asarray(np.clip(linear @ _LUMINANCE, 0.0, 1.0))
 
 
@@ -169,11 +169,12 @@ def target_colour(parts: list[Part], book: TextureBook) -> str:
     for part, (first, last) in zip(parts, pairwise(firsts), strict=True):
         inside = chosen[(chosen >= first) & (chosen < last)] - first
         samples.append(_sample(part, book, inside, rng))
-    return dominant_name(np.concatenate(samples))
+    colours = np.concatenate(samples)
+    return dominant_name(colours) if len(colours) else "unknown"
 
 
 def _sample(part: Part, book: TextureBook, triangles: NDArray[np.int64], rng: np.random.Generator) -> Floats:
-    """Returns the unlit sRGB colour, 0..1, at one random point of each given triangle."""
+    """Returns the unlit sRGB colour, 0..1, at one random point of each given triangle; without points in holes."""
     weights = rng.dirichlet((1.0, 1.0, 1.0), len(triangles))
     base = np.broadcast_to(_base(part, book), part.triangles.shape)[triangles]
     linear = np.einsum("nk,nkc->nc", weights, base)
@@ -184,4 +185,6 @@ def _sample(part: Part, book: TextureBook, triangles: NDArray[np.int64], rng: np
         columns = np.minimum((uv[:, 0] * side).astype(int), side - 1)
         rows = np.minimum(((1 - uv[:, 1]) * side).astype(int), side - 1)
         linear = linear * linear_of(book.layers[layer][rows, columns] / 255)
+        if layer in book.masks:
+            linear = linear[book.masks[layer][rows, columns] >= DRAWN]
     return srgb_of(linear)

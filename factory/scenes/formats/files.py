@@ -129,7 +129,7 @@ class SceneFiles:
 
     def digests_with_textures(self, parts: list[Part]) -> dict[str, str]:
         """Returns the digests of all files, with those of the textures of parts."""
-        names = {part.surface.texture for part in parts} - {"", *self.images}
+        names = frozenset().union(*(part.surface.images for part in parts)) - self.images.keys()
         shas = {self._seen(Path(name)): hashlib.sha256(read_asset(name) or b"").hexdigest() for name in names}
         return self.digests | shas
 

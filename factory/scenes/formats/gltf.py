@@ -24,7 +24,7 @@ from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.poses import quaternion_matrix
 from factory.scenes.formats.shapes import BROKEN, Content, Names, ShapeNode, label_of, mesh_piece
 from factory.scenes.importer.collect import Piece
-from factory.scenes.importer.content import SOLID_NOTE, Affine, Colour, Surface
+from factory.scenes.importer.content import BLEND_NOTE, Affine, Colour, Cutout, Surface
 from schemas.support.numpy_types import Floats, Ints
 from schemas.support.shell import quoted
 
@@ -200,9 +200,20 @@ def read_surface(document: Document, index: int | None, user: str) -> tuple[Surf
     texture = base.get("diffuseTexture" if glossy else "baseColorTexture")
     if texture is not None:
         surface = _textured(document, surface, texture, user)
-    if surface.texture and material.get("alphaMode") == "MASK":
-        document.files.scene.notes.append(f"material {surface.name or index}: {SOLID_NOTE}")
+    if surface.texture and material.get("alphaMode") == "BLEND":
+        document.files.scene.notes.append(f"material {surface.name or index}: {BLEND_NOTE}")
+    if material.get("alphaMode") == "MASK":
+        surface = _cut_out(surface, float(material.get("alphaCutoff", 0.5)), alpha)
     return surface, bool(material.get("doubleSided", False))
+
+
+def _cut_out(surface: Surface, cutoff: float, alpha: float) -> Surface:
+    """Returns the surface with holes where the product of `alpha` and the texture's alpha is below `cutoff`."""
+    if cutoff <= 0:
+        return surface
+    if not surface.texture or alpha <= 0:
+        return surface if alpha >= cutoff else replace(surface, opacity=0.0)
+    return replace(surface, cutout=Cutout(min(cutoff / alpha, 1.01), surface.texture))
 
 
 def _textured(document: Document, surface: Surface, info: dict[str, Any], user: str) -> Surface:

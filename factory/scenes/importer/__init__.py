@@ -3,6 +3,6 @@
 Importing the package loads the models only; `extract` loads OpenUSD.
 """
 
-from factory.scenes.importer.content import Extraction, Part, Surface, TextureRecipe
+from factory.scenes.importer.content import Cutout, Extraction, Part, Surface, TextureRecipe
 
-__all__ = ["Extraction", "Part", "Surface", "TextureRecipe"]
+__all__ = ["Cutout", "Extraction", "Part", "Surface", "TextureRecipe"]

@@ -63,13 +63,19 @@ class ReadableFolder:
             material: path of the material prim.
             notes: list that receives a note for each rejected texture.
         """
-        texture = surface.texture
-        climbs = ".." in Path(texture).parts and not Path(texture).is_absolute()  # a resolved path is absolute
-        if not texture or (not climbs and (not Path(texture).is_absolute() or self.encloses(texture))):
+        texture = next((image for image in sorted(surface.images) if self._is_outside(image)), None)
+        if texture is None:
             return surface
-        shown = os.path.relpath(texture, self.root_layer.resolve().parent) if not climbs else texture
+        shown = os.path.relpath(texture, self.root_layer.resolve().parent) if not _climbs(texture) else texture
         notes.append(
             f"{material}: texture {shown} is outside of the stage's folder, shown in one colour; "
             "move it below the folder or allow it (--allow-outside, in a plan allow_outside = true)"
         )
-        return replace(surface, texture="", colour=surface.fallback)
+        return replace(surface, texture="", cutout=None, colour=surface.fallback)
+
+    def _is_outside(self, texture: str) -> bool:
+        return _climbs(texture) or (Path(texture).is_absolute() and not self.encloses(texture))
+
+
+def _climbs(texture: str) -> bool:
+    return ".." in Path(texture).parts and not Path(texture).is_absolute()  # a resolved path is absolute

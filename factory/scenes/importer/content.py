@@ -17,7 +17,21 @@ Affine = tuple[float, float, float, float, float, float]
 GRAY: Colour = (0.18, 0.18, 0.18)
 """Linear default colour, equal to the default of the preview surface."""
 
-SOLID_NOTE = "its texture cuts holes by alpha, which is not supported; drawn solid in colour, depth and ids"
+BLEND_NOTE = "its texture is blended by alpha, which is not supported; drawn solid in colour, depth and ids"
+
+
+@dataclass(frozen=True)
+class Cutout:
+    """Holes that a texture cuts into a surface: its points below a threshold are not drawn."""
+
+    threshold: float
+    """Least opacity that is drawn, 0..1."""
+    image: str
+    """Resolved path of the texture with the opacity; it has the coordinates of the base colour texture."""
+    channel: str = "a"
+    """Channel of the opacity: `r`, `g`, `b` or `a`; red is used for `a` if the image has no alpha."""
+    is_plain: bool = False
+    """Whether the base colour is uniform, and only the opacity has a texture."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +56,21 @@ class Surface:
     """Name of the material, whose words may name its substance."""
     is_metal: bool = False
     """Whether the material is authored as a metal."""
+    cutout: Cutout | None = None
+    """Holes of the texture, if it cuts some."""
+
+    @property
+    def picture(self) -> str:
+        """Name of the picture of the surface: its texture with its holes; empty without texture."""
+        cut = self.cutout
+        if cut is None or not self.texture:
+            return self.texture
+        return "\n".join((self.texture, cut.image, cut.channel, f"{cut.threshold:.6f}", str(cut.is_plain)))
+
+    @property
+    def images(self) -> frozenset[str]:
+        """Paths of the textures of the surface."""
+        return frozenset({self.texture, self.cutout.image if self.cutout else ""} - {""})
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def _transformed(uvs: Floats | None, surface: Surface, chosen: NDArray[np.bool_]
 def _digests(stage: Any, parts: list[Part]) -> list[tuple[str, str]]:
     """Returns the paths and content digests of layers and textures."""
     layers = [layer.realPath for layer in stage.GetUsedLayers() if not layer.anonymous]
-    textures = sorted({part.surface.texture for part in parts} - {""})
+    textures = sorted(frozenset().union(*(part.surface.images for part in parts)))
     return [(place, hashlib.sha256(read_asset(place) or b"").hexdigest()) for place in [*layers, *textures]]
 
 

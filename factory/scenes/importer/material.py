@@ -14,7 +14,7 @@ from typing import Any
 from pxr import Sdf, UsdShade
 
 from factory.scenes.importer.assets import asset_path, read_asset, sibling
-from factory.scenes.importer.content import GRAY, SOLID_NOTE, Affine, Colour, Surface
+from factory.scenes.importer.content import GRAY, Affine, Colour, Cutout, Surface
 
 _WHITE: Colour = (1.0, 1.0, 1.0)
 _BLACK: Colour = (0.0, 0.0, 0.0)
@@ -57,14 +57,31 @@ def read_surface(material: Any, notes: list[str]) -> Surface | None:
     """
     name, shader = material.GetPrim().GetName(), material.ComputeSurfaceSource()[0]
     if shader and shader.GetIdAttr().Get() in _SURFACES:
-        if _value(shader, "opacityThreshold") and isinstance(_end(shader, "opacity"), UsdShade.Shader):
-            notes.append(f"{material.GetPath()}: {SOLID_NOTE}")
-        return replace(_one_tile(material, _preview(shader, notes), notes), name=name)
+        return replace(_one_tile(material, _cut_out(shader, _preview(shader, notes)), notes), name=name)
     shader = material.ComputeSurfaceSource("mdl")[0]
     surface = _mdl_inputs(shader) or _mdl_text(shader) if shader else None
     if surface is None:
         notes.append(f"{material.GetPath()}: no colour found in its shaders")
     return None if surface is None else replace(surface, name=name)
+
+
+def _cut_out(shader: Any, surface: Surface) -> Surface:
+    """Returns the surface with the holes of its opacity texture below `opacityThreshold`."""
+    threshold, picture = _value(shader, "opacityThreshold"), _end(shader, "opacity")
+    if not threshold or not isinstance(picture, UsdShade.Shader):
+        return surface
+    file = _value(picture, "file")
+    if file is None:
+        return surface
+    made_by = shader.GetInput("opacity").GetValueProducingAttributes()
+    outputs = [str(each.GetName()).rpartition(":")[2] for each in made_by]
+    channel = next((name for name in outputs if name in ("r", "g", "b", "a")), "a")
+    cutout = Cutout(min(_scalar(threshold), 1.0), asset_path(file), channel, is_plain=not surface.texture)
+    if surface.texture:
+        return replace(surface, cutout=cutout)
+    uv_set, affine = _uv_of(_first_input(picture, "st", "texcoord"))
+    image = cutout.image
+    return replace(surface, texture=image, fallback=surface.colour, uv_set=uv_set, uv_affine=affine, cutout=cutout)
 
 
 def _first_input(shader: Any, *names: str) -> Any | None:
@@ -153,7 +170,7 @@ def _one_tile(material: Any, surface: Surface, notes: list[str]) -> Surface:
         tiles = UsdShade.UdimUtils.ResolveUdimTilePaths(surface.texture, spec.layer)
         if tiles:
             notes.append(f"{material.GetPath()}: of {len(tiles)} UDIM tiles the first is shown everywhere")
-            return replace(surface, texture=str(min(tiles, key=lambda tile: str(tile[1]))[0]))
+            return replace(surface, texture=str(min(tiles, key=lambda tile: str(tile[1]))[0]), cutout=None)
     return surface
 
 

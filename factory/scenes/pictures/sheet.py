@@ -75,6 +75,7 @@ def alone(scene: CompiledScene, instance_id: int) -> CompiledScene:
         part_instance=scene.part_instance[parts],
         part_texture=np.where(scene.part_texture[parts] < 0, -1, texture).astype(np.int16),
         textures=tuple(scene.textures[layer] for layer in layers) if scene.textures else (),
+        masks={place: scene.masks[layer] for place, layer in enumerate(layers.tolist()) if layer in scene.masks},
     )
 
 

@@ -421,12 +421,3 @@ def test_a_part_of_collada_that_cannot_be_read_is_noted(tmp_path: Path) -> None:
     extraction = extract_scene(write(tmp_path / "room.dae", text))
     assert len(extraction.parts) == len(ROOM) - 1
     assert any(note.startswith("room.dae: ") and "absent" in note for note in extraction.notes)
-
-
-@pytest.mark.parametrize("mode", ["MASK", "OPAQUE", "BLEND"])
-def test_a_texture_of_gltf_that_cuts_holes_is_noted(tmp_path: Path, mode: str) -> None:
-    document = gltf_room(tmp_path)
-    for material in document.json["materials"]:
-        material["alphaMode"] = mode
-    extraction = extract_scene(write(tmp_path / "room.glb", document.glb()))
-    assert any("cuts holes by alpha" in note for note in extraction.notes) is (mode == "MASK")
