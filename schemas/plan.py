@@ -128,6 +128,9 @@ class Plan(Model):
         default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
     )
     """Requirements on a demonstration; omitted if there are none."""
+    extends: Plan | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Plan whose assignment of instances to training and evaluation applies; set by `factory run --extend` for plans
+    with `disjoint_instances`. Null and omitted for others."""
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
