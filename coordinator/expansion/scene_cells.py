@@ -85,7 +85,7 @@ class SceneCells:
     @cached_property
     def sides(self) -> Sides:
         """Side of each instance (training, evaluation or both), if the plan separates instances."""
-        base = self.plan.extends
+        base = self.plan.extended
         if base is None:
             return sides_of(self.plan, self.scene, self.wording.targets, self.quota, self.groups)
         scene = base.part(self.scene.name)
