@@ -54,7 +54,8 @@ def _print(report: MergeReport) -> None:
     print_table("", ("source", "run", "episodes", "numbers"), rows)
     how = "linked" if report.linked else "copied"
     click.echo(
-        f"{report.dataset}: {report.episodes} of {report.planned} episodes {how}, {format_bytes(report.bytes)}; verified"
+        f"{report.dataset}: {report.episodes} of {report.planned} episodes {how}, {format_bytes(report.bytes)}; "
+        "verified"
     )
     click.echo(f"digest  {report.digest or '- (incomplete)'}")
     click.echo(f"next:    factory stats {quoted(report.dataset)}")

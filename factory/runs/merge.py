@@ -200,7 +200,8 @@ def _require_mergeable(place: Place, meta: DatasetMeta, is_partial: bool) -> Non
     if not meta.complete and not is_partial:
         continued = "" if meta.sources else f"finish it with `factory run --out {quoted(place)}`, or "
         raise UsageError(
-            f"{place} has {meta.episodes} of {meta.planned} planned episodes: {continued}merge what it has with --partial"
+            f"{place} has {meta.episodes} of {meta.planned} planned episodes: {continued}merge what it has with "
+            "--partial"
         )
 
 
@@ -211,7 +212,8 @@ def _require_equal_scenes(parts: Sequence[Part]) -> None:
             name, other = packages.setdefault(scene, (part.name, sha256))
             if other != sha256:
                 raise UsageError(
-                    f"{name} and {part.name} have different packages of scene {scene} ({other[:16]} and {sha256[:16]}), "
+                    f"{name} and {part.name} have different packages of scene {scene} ({other[:16]} and "
+                    f"{sha256[:16]}), "
                     "and a dataset has one package for each scene name: generate one of the datasets again with "
                     "`factory run PLAN --scenes` and the folder `scenes` of the other"
                 )
@@ -225,8 +227,10 @@ def _require_no_duplicates(parts: Sequence[Part]) -> None:
         if twice:
             some = ", ".join(f"{name} is {other[0].name}'s {other[1]}" for name, other in twice[:_NAMED])
             raise UsageError(
-                f"{len(twice)} of {len(names)} episodes of {part.name} are also in {twice[0][1][0].name} (equal content "
-                f"digests): {some}{', ...' if len(twice) > _NAMED else ''}; give each episode once, and runs of one plan "
+                f"{len(twice)} of {len(names)} episodes of {part.name} are also in {twice[0][1][0].name} (equal "
+                "content "
+                f"digests): {some}{', ...' if len(twice) > _NAMED else ''}; give each episode once, and runs of one "
+                "plan "
                 "different --seed values"
             )
         owners |= {digest: (part, name) for name, digest in zip(names, digests, strict=True)}
@@ -439,7 +443,8 @@ def _require_room(out: Path, needed: int) -> None:
     if free < needed + _SPARE_BYTES:
         raise WorldError(
             f"{out.absolute().parent} has {format_bytes(free)} free, but the episodes need {format_bytes(needed)} and "
-            f"{format_bytes(_SPARE_BYTES)} stay free: choose another -o, or make hard links with --link, which needs the "
+            f"{format_bytes(_SPARE_BYTES)} stay free: choose another -o, or make hard links with --link, which needs "
+            "the "
             "disk of the datasets"
         )
 

@@ -68,7 +68,8 @@ def _require_equal_readers(named: Named) -> None:
         if {plan.record, theirs.record} == set(Recording):
             states = name if plan.record is Recording.STATES else other
             raise UsageError(
-                f"{name} stores {plan.record} and {other} stores {theirs.record}, and a dataset has one kind of episode: "
+                f"{name} stores {plan.record} and {other} stores {theirs.record}, and a dataset has one kind of "
+                "episode: "
                 f"render the frames of {states} with `factory render STATES -o FRAMES` and merge FRAMES instead"
             )
         unlike = [key for key in _SHARED if getattr(plan, key) != getattr(theirs, key)]
@@ -142,7 +143,8 @@ def _require_equal_categories(group: Sequence[tuple[str, Plan, ScenePlan]]) -> N
             if category in seen:
                 raise UsageError(
                     f"{seen[category]} trains on {category} in {scene.name}, but {name} holds the category out for "
-                    "test_ood_obj, so the splits of a merged dataset would not be separate: merge datasets with the same "
+                    "test_ood_obj, so the splits of a merged dataset would not be separate: merge datasets with the "
+                    "same "
                     "held-out categories"
                 )
     kinds = {each.is_unseen: name for name, _, each in group if isinstance(each, LayoutPlan)}
