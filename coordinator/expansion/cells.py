@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from typing import Literal
 
 from schemas.layouts import Cell, Cells, LayoutPlan, cross_quota
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
 
-__all__ = ["Cell", "Cells", "cells", "empty_splits", "planned_cells"]
+__all__ = ["Cell", "Cells", "cells", "empty_splits", "marginal", "planned_cells"]
 
 
 def cells(plan: Plan, scene: ScenePlan) -> Cells:
@@ -28,6 +29,14 @@ def planned_cells(plans: Iterable[Plan]) -> Counter[tuple[str, Split, Tier]]:
             for (split, tier), count in cells(plan, part).items():
                 planned[part.name, split, tier] += count
     return planned
+
+
+def marginal(quota: Cells, axis: Literal[0, 1]) -> Counter[Split | Tier]:
+    """Returns the number of episodes of each split (axis 0) or each tier (axis 1)."""
+    total: Counter[Split | Tier] = Counter()
+    for cell, count in quota.items():
+        total[cell[axis]] += count
+    return total
 
 
 def empty_splits(plan: Plan) -> tuple[Split, ...]:

@@ -14,13 +14,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import ValidationError
 
 from coordinator.archive.opening import open_archive
 from coordinator.archive.staging import is_held
-from coordinator.expansion.cells import cells
+from coordinator.expansion.cells import cells, marginal
 from coordinator.expansion.plan_file import load_plan
 from coordinator.ledger.opening import plan_differences
 from factory.dataset.reader import Dataset
@@ -36,7 +37,7 @@ from schemas.storage.dataset_files import EXTENSION, FORMER_LEDGERS, RUN_SHARD_F
 from schemas.storage.disk import sync_directory, translated
 from schemas.support.apportion import apportion
 from schemas.support.shell import quoted
-from schemas.terms import Split
+from schemas.terms import Split, Tier
 
 _EXTEND_STREAM = 5
 _BASE = "base"
@@ -201,19 +202,21 @@ def _difference(recorded: Plan, former: ScenePlan, whole: Plan, scene: ScenePlan
     count = scene.episodes - former.episodes
     had, wanted = cells(recorded, former), cells(whole, scene)
     changes: dict[str, object] = {"episodes": count}
-    for axis, key in enumerate(("splits", "tiers")):
-        less = _marginal(had, axis)
-        numbers = {name: number - less[name] for name, number in _marginal(wanted, axis).items()}
-        assert min(numbers.values()) >= 0, numbers
-        changes[key] = {name: number / count for name, number in numbers.items() if number}
+    axes: tuple[tuple[Literal[0, 1], str], ...] = ((0, "splits"), (1, "tiers"))
+    for axis, key in axes:
+        less, more = marginal(had, axis), marginal(wanted, axis)
+        assert less <= more, (less, more)
+        changes[key] = {name: number / count for name, number in (more - less).items()}
     if scene.layouts is not None:
         # the same layouts must stay unseen, even if the difference has other shares
         changes["unseen_layouts"] = unseen_layouts(former, recorded.splits_of(former)) or None
-        _require_all_layouts(former, _marginal(had, 0), _marginal(wanted, 0), recorded)
+        _require_all_layouts(former, marginal(had, 0), marginal(wanted, 0), recorded)
     return scene.model_copy(update=changes)
 
 
-def _require_all_layouts(scene: ScenePlan, had: Counter[object], wanted: Counter[object], plan: Plan) -> None:
+def _require_all_layouts(
+    scene: ScenePlan, had: Counter[Split | Tier], wanted: Counter[Split | Tier], plan: Plan
+) -> None:
     unseen = unseen_layouts(scene, plan.splits_of(scene))
     for layouts, is_unseen in ((unseen, True), ((scene.layouts or 0) - unseen, False)):
         more = sum(wanted[split] - had[split] for split in Split if split.is_unseen_scene is is_unseen)
@@ -223,13 +226,6 @@ def _require_all_layouts(scene: ScenePlan, had: Counter[object], wanted: Counter
                 f"{scene.name}: an extension uses all layouts of the family again, so its {kind} splits need at least "
                 f"{layouts} more episodes, not {more}: request more episodes"
             )
-
-
-def _marginal(quota: Mapping[tuple[object, object], int], axis: int) -> Counter[object]:
-    total: Counter[object] = Counter()
-    for key, count in quota.items():
-        total[key[axis]] += count
-    return total
 
 
 def add_extension(extension: Extension, now: datetime) -> DatasetMeta:

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 from pydantic import ValidationError
 
-from coordinator.expansion.cells import cells
+from coordinator.expansion.cells import Cell, cells, marginal
 from coordinator.ledger.opening import plan_differences
 from schemas.config import InstructionConfig
 from schemas.errors import UsageError
 from schemas.layouts import LayoutPlan, unseen_layouts
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import Recording
+from schemas.terms import Recording, Split, Tier
 
 NAME = "merged"
 """Name of the plan of a merged dataset."""
@@ -115,15 +116,15 @@ def _joined(group: Sequence[tuple[str, Plan, ScenePlan]]) -> ScenePlan:
     """Returns the entry of one scene with the episodes of all plans."""
     _, first_plan, first = group[0]
     _require_equal_categories(group)
-    total: Counter[tuple[object, object]] = Counter()
+    total: Counter[Cell] = Counter()
     for _, plan, scene in group:
-        total.update({(split, tier): count for (split, tier), count in cells(plan, scene).items()})
+        total.update(cells(plan, scene))
     scene = first.as_scene() if isinstance(first, LayoutPlan) else first
     held = {name for _, _, each in group for name in each.ambiguous}
     changes: dict[str, object] = {
         "episodes": sum(each.episodes for _, _, each in group),
-        "splits": _shares(_marginal(total, 0)),
-        "tiers": _shares(_marginal(total, 1)),
+        "splits": _shares(marginal(total, 0)),
+        "tiers": _shares(marginal(total, 1)),
         "ambiguous": tuple(sorted(held)),
     }
     if any(each.categories != first.categories for _, _, each in group):
@@ -156,22 +157,15 @@ def _require_equal_categories(group: Sequence[tuple[str, Plan, ScenePlan]]) -> N
         )
 
 
-def _counts(plans: Sequence[Plan], axis: int) -> Counter[object]:
-    total: Counter[object] = Counter()
+def _counts(plans: Sequence[Plan], axis: Literal[0, 1]) -> Counter[Split | Tier]:
+    total: Counter[Split | Tier] = Counter()
     for plan in plans:
         for part in plan.parts:
-            total += _marginal(cells(plan, part), axis)
+            total += marginal(cells(plan, part), axis)
     return total
 
 
-def _marginal(quota: Mapping[tuple[object, object], int], axis: int) -> Counter[object]:
-    total: Counter[object] = Counter()
-    for key, count in quota.items():
-        total[key[axis]] += count
-    return total
-
-
-def _shares(counts: Mapping[object, int]) -> dict[object, float]:
+def _shares(counts: Mapping[Split | Tier, int]) -> dict[Split | Tier, float]:
     return {key: count / sum(counts.values()) for key, count in counts.items() if count}
 
 

@@ -173,7 +173,7 @@ def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
 
 def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
     """Returns the description with its plan replaced by another plan of the same episodes."""
-    return meta.model_copy(update=fields_of_plan(plan))
+    return meta.model_copy(update=fields_of_plan(plan) | ({"format": meta.format} if meta.sources else {}))
 
 
 def fields_of_plan(plan: Plan) -> dict[str, Any]:
