@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     "--scenes",
     type=PLACE,
     metavar="DIR|URL",
-    help="With --from: folder with the package of the scene, e.g. `scenes` of the dataset. Default: MINIVLA_SCENES, then "
-    "the cache; built-in scenes are built.",
+    help="With --from: folder with the package of the scene, e.g. `scenes` of the dataset. Default: MINIVLA_SCENES, "
+    "then the cache; built-in scenes are built.",
 )
 @renderer_option
 @json_option

@@ -14,20 +14,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.archive.staging import is_held
 from coordinator.expansion.catalog import read_entry
-from coordinator.expansion.instances import Side, Sides
+from coordinator.expansion.instances import Side, Sides, shared_categories
+from coordinator.expansion.scene_cells import scene_cells
 from coordinator.packing import pack_all
-from coordinator.tables.row_groups import ListedRows
+from coordinator.tables.row_groups import ListedRows, RowSource
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.table_reader import read_failed_attempts
-from coordinator.tables.write import SIDE_COLUMN, DatasetTables, TableContent
+from coordinator.tables.write import DatasetTables, TableContent
 from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
@@ -42,10 +43,10 @@ from schemas.dataset.rows import EpisodeSummary, FailedAttempt, renumbered
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
 from schemas.plan import MAX_EPISODES, Plan
-from schemas.storage.dataset_files import ATTEMPTS_FILE, EPISODES, METADATA_FILE, RUN_SHARD_FILE, SCENES
+from schemas.storage.dataset_files import ATTEMPTS_FILE, EPISODES, RUN_SHARD_FILE, SCENES, SOURCES_FILE
 from schemas.storage.disk import free_bytes, sync_directory, translated
 from schemas.storage.episode_list import list_episodes
-from schemas.storage.place import FilePlace, Place, table_of
+from schemas.storage.place import FilePlace, Place
 from schemas.storage.shards import MAX_SHARD_EPISODES
 from schemas.support.shell import quoted
 from schemas.terms import Recording
@@ -103,16 +104,6 @@ class Part:
             own = int(row.episode_id.removeprefix("ep_"))
             if own <= self.dataset.meta.planned:
                 yield row.model_copy(update={"episode_id": episode_id(self.offset + own)})
-
-    def sides(self) -> dict[tuple[str, str, str], Side]:
-        """Returns the side of each instance by scene, target and category, for plans with disjoint instances."""
-        table = pq.read_table(table_of(self.dataset.root / METADATA_FILE))
-        if SIDE_COLUMN not in table.column_names:
-            return {}
-        names = ["scene", "target_id", "target_category"]
-        columns = table.filter(pc.is_valid(table[SIDE_COLUMN])).select([*names, SIDE_COLUMN]).to_pydict()
-        keys = zip(*(columns[name] for name in names), strict=True)
-        return {key: Side(side) for key, side in zip(keys, columns[SIDE_COLUMN], strict=True)}
 
 
 class MergeReport(Model):
@@ -376,48 +367,77 @@ def write_joined(
         sources: runs of the whole dataset.
         now: time of writing, UTC.
     """
-    failures = [row for part in parts for row in part.failures()]
-    sides, shared = _sides(parts, plan)
-    scenes: dict[str, str] = {}
-    refused: dict[str, tuple[str, ...]] = {}
-    for part in parts:
-        scenes |= part.dataset.meta.scenes
-        refused |= part.dataset.meta.refused_seeds
+    scenes = {name: sha256 for part in parts for name, sha256 in part.dataset.meta.scenes.items()}
+    refused = {name: why for part in parts for name, why in part.dataset.meta.refused_seeds.items()}
+    failures = [
+        row for part in parts for row in part.failures()
+    ]  # read before the tables of an extended dataset change
+    if archive.shards() or (plan.record is Recording.STATES and plan.episodes > MAX_SHARD_EPISODES):
+        pack_all(archive, {row.index: row.file_sha256 for part in parts for row in part.rows()})
+    joined = JoinedRows(_RowsInOrder(parts), ListedRows(failures))
+    return write_tables_of(archive, joined, plan=plan, sources=sources, scenes=scenes, refused=refused, now=now)
+
+
+class JoinedRows(NamedTuple):
+    """Rows of a dataset with sources, under its numbers."""
+
+    episodes: RowSource
+    failures: RowSource
+
+
+def write_tables_of(
+    archive: Archive,
+    rows: JoinedRows,
+    *,
+    plan: Plan,
+    sources: Sequence[DatasetSource],
+    scenes: Mapping[str, str],
+    refused: Mapping[str, tuple[str, ...]],
+    now: datetime,
+) -> DatasetMeta:
+    """Writes all tables of a dataset with sources, and a copy of its description for `factory repair`."""
+    sides, shared = _sides(archive.root, sources, plan, scenes)
     content = TableContent(
         plan,
         scenes,
-        episodes=_RowsInOrder(parts),
-        failures=ListedRows(failures),
+        episodes=rows.episodes,
+        failures=rows.failures,
         sides=sides,
         shared=shared,
         refused_seeds=refused,
         sources=sources,
     )
-    if archive.shards() or (plan.record is Recording.STATES and plan.episodes > MAX_SHARD_EPISODES):
-        pack_all(archive, {row.index: row.file_sha256 for part in parts for row in part.rows()})
     meta = DatasetTables(has_sources=True).write(archive, content, now)
+    with archive.replacing(SOURCES_FILE) as part:
+        part.write_text(meta.model_dump_json(indent=1), encoding="utf-8")
     write_split_tables(archive)
     return meta
 
 
-def _sides(parts: Sequence[Part], plan: Plan) -> tuple[Mapping[str, Sides], Mapping[str, tuple[str, ...]] | None]:
+def _sides(
+    root: Place, sources: Sequence[DatasetSource], plan: Plan, scenes: Mapping[str, str]
+) -> tuple[Mapping[str, Sides], Mapping[str, tuple[str, ...]] | None]:
     """Returns the sides of the instances by scene, and the categories with shared instances.
 
-    An instance that one dataset trains on and another one evaluates is shared.
+    An instance that one run trains on and another one evaluates is shared.
     """
     if not plan.disjoint_instances:
         return {}, None
     sides: dict[str, dict[str, Side]] = {}
-    shared: dict[str, set[str]] = {}
-    for part in parts:
-        for scene, names in (part.dataset.meta.shared_instances or {}).items():
-            shared.setdefault(scene, set()).update(names)
-        for (scene, target, category), side in part.sides().items():
-            known = sides.setdefault(scene, {}).setdefault(target, side)
-            if known is not side:
-                sides[scene][target] = Side.SHARED
-                shared.setdefault(scene, set()).add(category)
-    return sides, {scene: tuple(sorted(names)) for scene, names in shared.items()}
+    shared: dict[str, tuple[str, ...]] = {}
+    for name, sha256 in scenes.items():
+        entry = read_entry(find_package_file(root, name, sha256))
+        known: dict[str, Side] = {}
+        for source in sources:
+            if name in {part.name for part in source.plan.parts}:
+                own = scene_cells(source.plan, source.plan.part(name), entry).sides
+                known = {
+                    **known,
+                    **{key: side if known.get(key, side) is side else Side.SHARED for key, side in own.items()},
+                }
+        if known:
+            sides[name], shared[name] = known, shared_categories(known, entry)
+    return sides, shared
 
 
 def _keep_matching(work: Path, parts: Sequence[Part]) -> None:
