@@ -117,7 +117,7 @@ def repair_joined(
         run=meta.run,
         applied=apply,
         actions=tuple(found.actions),
-        episodes=len(found.kept) + (len(found.missing) if apply else 0),
+        episodes=len(found.kept),
         planned=meta.planned,
     )
 
@@ -159,10 +159,10 @@ def _decide(
         found.actions.append(Action(kind=RepairKind.ADOPT, what=verdict.file_name, why=why))
         return
     if path is not None:
-        found.aside.append((path, verdict))
+        found.aside.append((path, " ".join(verdict.split())))
     if row is not None:
         found.missing[index] = row
-        found.actions.append(Action(kind=RepairKind.REQUEUE, what=row.episode_id, why=verdict))
+        found.actions.append(Action(kind=RepairKind.REQUEUE, what=row.episode_id, why=" ".join(verdict.split())))
 
 
 def _rows(root: Path) -> dict[int, EpisodeSummary]:
