@@ -149,12 +149,16 @@ def _in_tar(path: Path, wanted: str) -> Iterator[Found]:
 
 
 def _in_mcap(path: Path, wanted: str) -> Iterator[Found]:  # noqa: ARG001
+    from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
-        for record in make_reader(file).iter_metadata():
-            if record.name == "episode" and COLUMN in record.metadata:
-                yield _found(record.metadata[COLUMN])
+        try:
+            for record in make_reader(file).iter_metadata():
+                if record.name == "episode" and COLUMN in record.metadata:
+                    yield _found(record.metadata[COLUMN])
+        except McapError as error:
+            raise ValueError(f"{path}: {error}") from error
 
 
 def _in_file(path: Path, wanted: str) -> Iterator[Found]:  # noqa: ARG001

@@ -46,7 +46,7 @@ from schemas.plan import MAX_EPISODES, Plan
 from schemas.storage.dataset_files import ATTEMPTS_FILE, EPISODES, RUN_SHARD_FILE, SCENES, SOURCES_FILE
 from schemas.storage.disk import free_bytes, sync_directory, translated
 from schemas.storage.episode_list import list_episodes
-from schemas.storage.place import FilePlace, Place
+from schemas.storage.place import FilePlace, Place, digest_of
 from schemas.storage.shards import MAX_SHARD_EPISODES
 from schemas.support.shell import quoted
 from schemas.terms import Recording
@@ -297,7 +297,7 @@ def add_scenes(archive: Archive, dataset: Dataset) -> None:
 def add_episodes(archive: Archive, part: Part, is_linked: bool = False) -> Iterator[int]:
     """Stores the episodes of a dataset under their new numbers, and yields the number of each.
 
-    Episodes that are stored already are not read; a verification compares them with the tables.
+    An equal file that an interrupted call has stored is kept; another file with that number is replaced.
 
     Raises:
         UsageError: the source is on another disk, so hard links are impossible.
@@ -307,7 +307,8 @@ def add_episodes(archive: Archive, part: Part, is_linked: bool = False) -> Itera
     present = archive.present()
     files = list_episodes(part.dataset.root).episodes
     for row in part.rows():
-        if row.index not in present:
+        if row.index not in present or digest_of(present[row.index]) != row.file_sha256:
+            archive.unpublish(row.index)
             own = row.index - part.offset
             if own not in files:
                 raise ArchiveCorrupt(

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from factory.dataset.reader import Dataset
+from factory.export.origin import find_origin
 from factory.runs.merge import merge, open_parts
 from factory.verify.dataset import verify
 from schemas.dataset.meta import DATASET_FORMAT, read_dataset_meta
@@ -19,8 +20,9 @@ from schemas.storage.dataset_files import SOURCES_FILE
 from schemas.terms import Recording
 from tests.acceptance.factory_cli import Command
 from tests.builders.dataset import NOW, make_dataset
-from tests.builders.driven import driven_recordings
+from tests.builders.driven import driven_recordings, make_driven
 from tests.builders.plan import small_plan
+from tests.builders.shared import build_once
 
 
 def made(root: Path, seed: int, episodes: int = 3, **changes: object) -> Path:
@@ -109,7 +111,7 @@ def test_leftovers_of_another_merge_are_not_used(two: tuple[Path, Path], tmp_pat
 def test_a_damaged_episode_of_a_source_stops_the_merge(two: tuple[Path, Path], tmp_path: Path) -> None:
     file = two[1] / "episodes/ep_000001.zip"
     file.write_bytes(file.read_bytes()[:-1] + b"x")
-    with pytest.raises(ArchiveCorrupt, match=f"repair the dataset with `factory repair {two[1]}`"):
+    with pytest.raises(ArchiveCorrupt, match=re.escape(f"repair the dataset with `factory repair {two[1]}`")):
         merge(open_parts(two, is_partial=False), tmp_path / "c", NOW)
     file.unlink()
     with pytest.raises(ArchiveCorrupt, match="lacks ep_000001, which its tables list"):
@@ -120,13 +122,15 @@ def test_a_damaged_episode_of_a_source_stops_the_merge(two: tuple[Path, Path], t
 def test_sources_that_cannot_be_merged_are_refused_with_the_remedy(two: tuple[Path, Path], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="are the same dataset: give it once"):
         open_parts((two[0], tmp_path / "." / "a"), is_partial=False)
-    with pytest.raises(WorldError, match="is not a dataset: dataset_meta.json is missing"):
+    with pytest.raises(WorldError, match=r"is not a dataset: dataset_meta\.json is missing"):
         open_parts((two[0], tmp_path / "nothing"), is_partial=False)
     shutil.copytree(two[0], tmp_path / "copy")
     with pytest.raises(UsageError, match=r"3 of 3 episodes of copy are also in a \(equal content digests\)"):
         open_parts((two[0], tmp_path / "copy"), is_partial=False)
     make_dataset(tmp_path / "short", 1, plan=small_plan(2).model_copy(update={"seed": 9}))
-    with pytest.raises(UsageError, match=r"has 1 of 2 planned episodes: finish it with .* merge what it has with --par"):
+    with pytest.raises(
+        UsageError, match=r"has 1 of 2 planned episodes: finish it with .* merge what it has with --par"
+    ):
         open_parts((two[0], tmp_path / "short"), is_partial=False)
     with pytest.raises(UsageError, match="exists and is not empty"):
         merge(open_parts(two, is_partial=False), two[0], NOW)
@@ -157,44 +161,85 @@ def test_the_disk_is_checked_before_anything_is_copied(
     assert not (tmp_path / "c").exists()
 
 
+@pytest.fixture
+def drives(shared: Path) -> tuple[Path, Path]:
+    """Two datasets of states with different seeds, two drives each; tests only read them."""
+
+    def drive(root: Path) -> None:
+        make_driven(root, Recording.STATES, seed=5)
+
+    return driven_recordings(shared)[Recording.STATES], build_once(shared / "driven-5", drive)
+
+
 @pytest.mark.gl
-def test_commands_read_a_merged_dataset(command: Command, shared: Path, tmp_path: Path) -> None:
-    """Two recordings of the same plan are no duplicates of each other only if their seeds differ."""
-    source = driven_recordings(shared)[Recording.FRAMES]
-    with pytest.raises(UsageError, match="render the frames of"):
-        parts = open_parts((source, driven_recordings(shared)[Recording.STATES]), is_partial=False)
-        merge(parts, tmp_path / "mixed", NOW)
-    other = made(tmp_path / "office", 5, 2, **{key: getattr(read_dataset_meta(source).plan, key) for key in ("task", "robot")})
-    words = ("merge", other, source, "-o", tmp_path / "c")
-    report = command.json(*words)
-    assert (report["episodes"], report["planned"]) == (4, 4)
+def test_commands_read_a_merged_dataset(command: Command, drives: tuple[Path, Path], tmp_path: Path) -> None:
     root = tmp_path / "c"
+    report = command.json("merge", *drives, "-o", root)
+    assert (report["episodes"], report["planned"], report["linked"]) == (4, 4, False)
+    assert command.json("verify", root, "--deep", "--render", "all")["ok"]
     assert command.json("replay", root, 4)["identical"]
     assert command.json("stats", root)["episodes"] == 4
+    assert command.json("show", root, 4, "-o", tmp_path / "sheet.png")["episode"] == "ep_000004"
     assert command("run", "--out", root, expect=2).stderr.startswith(f"error: {root} was merged from 2 runs")
     assert "was merged from 2 runs and has no ledger" in command("status", root, expect=1).stderr
+    assert "render the source datasets before" in command("render", root, "-o", tmp_path / "r", expect=2).stderr
+
+
+@pytest.mark.gl
+def test_a_dataset_of_states_and_one_of_frames_are_refused(shared: Path, tmp_path: Path) -> None:
+    places = [driven_recordings(shared)[record] for record in Recording]
+    with pytest.raises(UsageError, match="render the frames of driven-states with `factory render"):
+        merge(open_parts(places, is_partial=False), tmp_path / "c", NOW)
+
+
+@pytest.mark.gl
+def test_repair_simulates_missing_episodes_again_and_rebuilds_lost_tables(
+    command: Command, drives: tuple[Path, Path], tmp_path: Path
+) -> None:
+    root = tmp_path / "c"
+    merge(open_parts(drives, is_partial=False), root, NOW)
+    assert command.json("repair", root, "--dry-run")["actions"] == []
+    digest, intact = Dataset(root).digest, (root / "episodes/ep_000001.zip").read_bytes()
     (root / "episodes/ep_000004.zip").unlink()
     (root / "episodes/ep_000001.zip").write_bytes(b"nothing")
     dry = command.json("repair", root, "--dry-run", expect=1)
     assert sorted(action["kind"] for action in dry["actions"]) == ["quarantine", "requeue", "requeue", "rewrite"]
-    (root / "episodes/ep_000001.zip").write_bytes((other / "episodes/ep_000001.zip").read_bytes())
-    assert [action["what"] for action in command.json("repair", root)["actions"]] == ["ep_000004", "metadata.parquet"]
-    assert verify(root).ok
-    assert Dataset(root).digest == report["digest"]
+    assert dry["episodes"] == 2
+    (root / "episodes/ep_000001.zip").write_bytes(intact)
+    fixed = command.json("repair", root)
+    assert [action["what"] for action in fixed["actions"]] == ["ep_000004", "metadata.parquet"]
+    assert (fixed["episodes"], fixed["planned"]) == (4, 4)
+    assert verify(root, deep=True).ok
+    assert Dataset(root).digest == digest
     (root / "dataset_meta.json").write_text("{")
     (root / "metadata.parquet").write_bytes(b"")
     assert (root / SOURCES_FILE).is_file()
     repaired = command.json("repair", root)
-    assert {action["kind"] for action in repaired["actions"]} <= {"rewrite", "adopt", "quarantine"}
-    assert Dataset(root)["ep_000004"].summary.run == read_dataset_meta(source).run
+    assert [action["kind"] for action in repaired["actions"]].count("adopt") == 4
+    assert verify(root, deep=True).ok
+    assert Dataset(root).digest == digest
 
 
 @pytest.mark.gl
-def test_exports_of_a_merged_dataset_name_its_numbers(shared: Path, tmp_path: Path, command: Command) -> None:
-    source = driven_recordings(shared)[Recording.FRAMES]
-    plan = read_dataset_meta(source).plan
-    other = made(tmp_path / "office", 5, 2, task=plan.task, robot=plan.robot)
-    merge(open_parts((other, source), is_partial=False), tmp_path / "c", NOW)
-    command("export", tmp_path / "c", "--episode", "4", "--to", "vlnce", "-o", tmp_path / "habitat")
-    replayed = command.json("replay", "--from", tmp_path / "habitat", 4, "--scenes", source / "scenes")
+def test_repair_sets_files_of_other_runs_aside(command: Command, drives: tuple[Path, Path], tmp_path: Path) -> None:
+    root = tmp_path / "c"
+    merge(open_parts(drives, is_partial=False), root, NOW)
+    (root / "episodes/ep_000009.zip").write_bytes((root / "episodes/ep_000001.zip").read_bytes())
+    (action, _) = command.json("repair", root)["actions"]
+    assert (action["kind"], action["what"]) == ("quarantine", "episodes/ep_000009.zip")
+    assert "which is not this episode of a source" in action["why"]
+    assert verify(root).ok
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("name", ["lerobot", "mcap", "vlnce", "paper", "webdataset"])
+def test_exports_of_a_merged_dataset_name_its_numbers_and_can_be_replayed(
+    command: Command, drives: tuple[Path, Path], tmp_path: Path, name: str
+) -> None:
+    merge(open_parts(drives, is_partial=False), tmp_path / "c", NOW)
+    command("export", tmp_path / "c", "--episode", "4", "--to", name, "-o", tmp_path / "out")
+    replayed = command.json("replay", "--from", tmp_path / "out", 4, "--scenes", drives[0] / "scenes")
     assert (replayed["episode_id"], replayed["identical"]) == ("ep_000004", True)
+    origin = find_origin(tmp_path / "out", "4")
+    assert (origin.job.index, origin.job.root_seed) == (2, 5)
+    assert origin.states_digest == Dataset(drives[1])["ep_000002"].states_digest
