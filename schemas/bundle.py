@@ -162,6 +162,8 @@ class BundleReader(Closing):
     def __init__(self, file: BinaryIO, steps: int | None = None) -> None:
         _keep_freed_memory()
         self._in = ContainerReader(file, _LIMITS)
+        self.name: str | None = None
+        """Id of the episode in its dataset, if known from there; a merged dataset has renumbered it."""
         self.length = self.meta.rollout.num_steps if steps is None else steps
         if self.length > MAX_FRAMES:  # checked first, because `member_names` takes time and memory for each step
             raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
@@ -177,6 +179,11 @@ class BundleReader(Closing):
         self.pose_dtype = arrays[POSES.name].dtype
         """Type of the stored poses; float32 in bundles of format 1."""
         self.arrays = EpisodeArrays(**{**arrays, POSES.name: arrays[POSES.name].astype(POSES.dtype)})
+
+    @property
+    def episode_id(self) -> str:
+        """Id of the episode in its dataset, or else in its run."""
+        return self.name or self.meta.episode_id
 
     @cached_property
     def meta(self) -> EpisodeMeta:

@@ -54,6 +54,7 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
+_MAX_EXTENDED_CHARS = 1 << 26
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
 
@@ -128,6 +129,11 @@ class Plan(Model):
         default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
     )
     """Requirements on a demonstration; omitted if there are none."""
+    extends: Annotated[str, Field(max_length=_MAX_EXTENDED_CHARS)] | None = Field(
+        default=None, exclude_if=lambda it: it is None
+    )
+    """Plan, as JSON, whose assignment of instances to training and evaluation applies; only `factory run --extend` sets
+    it, for plans with `disjoint_instances`. Null and omitted for others."""
 
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
@@ -167,9 +173,21 @@ class Plan(Model):
             mistakes += _language_faults(self, self.language)
         if self.rig is not None:
             mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
+        if self.extends is not None:
+            mistakes += [f"extends: no scene {name!r}" for name in names if name not in self.extended_scenes]
         if mistakes:
             raise ValueError("\n".join(mistakes))
         return self
+
+    @functools.cached_property
+    def extended(self) -> Plan | None:
+        """Plan of `extends`."""
+        return None if self.extends is None else Plan.model_validate_json(self.extends)
+
+    @property
+    def extended_scenes(self) -> frozenset[str]:
+        """Names of the entries of the plan of `extends`."""
+        return frozenset() if self.extended is None else frozenset(scene.name for scene in self.extended.scenes)
 
     def tiers_of(self, scene: ScenePlan) -> Mapping[Tier, float]:
         """Returns the fractions of tiers that apply to a scene."""
@@ -245,7 +263,7 @@ class Plan(Model):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Returns a copy with changed values, which does not contain the cached values of the original."""
         copy = super().model_copy(update=update, deep=deep)
-        for name in ("digest", "parts", "spans", "_parts_by_name"):
+        for name in ("digest", "parts", "spans", "_parts_by_name", "extended"):
             copy.__dict__.pop(name, None)
         return copy
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+from typing import Literal
+
 from schemas.layouts import Cell, Cells, LayoutPlan, cross_quota
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import Split
+from schemas.terms import Split, Tier
 
-__all__ = ["Cell", "Cells", "cells", "empty_splits"]
+__all__ = ["Cell", "Cells", "cells", "empty_splits", "marginal", "planned_cells"]
 
 
 def cells(plan: Plan, scene: ScenePlan) -> Cells:
@@ -15,6 +19,24 @@ def cells(plan: Plan, scene: ScenePlan) -> Cells:
     if isinstance(scene, LayoutPlan):
         return scene.quota
     return cross_quota(plan.splits_of(scene), plan.tiers_of(scene), scene.episodes)
+
+
+def planned_cells(plans: Iterable[Plan]) -> Counter[tuple[str, Split, Tier]]:
+    """Returns the number of planned episodes of each cell of scene x split x tier over several plans."""
+    planned: Counter[tuple[str, Split, Tier]] = Counter()
+    for plan in plans:
+        for part in plan.parts:
+            for (split, tier), count in cells(plan, part).items():
+                planned[part.name, split, tier] += count
+    return planned
+
+
+def marginal(quota: Cells, axis: Literal[0, 1]) -> Counter[Split | Tier]:
+    """Returns the number of episodes of each split (axis 0) or each tier (axis 1)."""
+    total: Counter[Split | Tier] = Counter()
+    for cell, count in quota.items():
+        total[cell[axis]] += count
+    return total
 
 
 def empty_splits(plan: Plan) -> tuple[Split, ...]:

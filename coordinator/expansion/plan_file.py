@@ -63,6 +63,10 @@ def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) 
     if not path.is_file():
         raise UsageError(_absent_message(reference, path))
     data = read_toml(path, "plan", InvalidPlan)
+    if "extends" in data:
+        raise InvalidPlan(
+            f"{path} is not a valid plan", ["extends: only `factory run --extend` sets this key; remove it"]
+        )
     data.setdefault("name", _name_from(path))
     task = data.setdefault("task", {})
     if isinstance(task, dict):

@@ -85,7 +85,11 @@ class SceneCells:
     @cached_property
     def sides(self) -> Sides:
         """Side of each instance (training, evaluation or both), if the plan separates instances."""
-        return sides_of(self.plan, self.scene, self.wording.targets, self.quota, self.groups)
+        base = self.plan.extended
+        if base is None:
+            return sides_of(self.plan, self.scene, self.wording.targets, self.quota, self.groups)
+        scene = base.part(self.scene.name)
+        return sides_of(base, scene, self.wording.targets, cells(base, scene), self.groups)
 
     @cached_property
     def groups(self) -> Groups | None:

@@ -259,13 +259,19 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
 
 def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
     """Yields an action for each table that differs from the ledger, or will differ after the other actions."""
-    for name, why in _table_findings(dataset.root, ledger).items():
+    for name, why in table_findings(dataset.root, ledger).items():
         yield Action(kind=RepairKind.REWRITE, what=name, why=why)
     if changes and ledger is not None:
         yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="its rows change with the actions above")
 
 
-def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
+def table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
+    """Returns the faults of the tables by file name.
+
+    Args:
+        root: root of the dataset.
+        ledger: ledger to compare the tables with; `None` checks only that they can be read.
+    """
     findings: dict[str, str] = {}
     digests = read_column(root / METADATA_FILE, "content_digest")
     if isinstance(digests, str):

@@ -23,7 +23,9 @@ from coordinator.tables.row_groups import GroupedTable, ListedRows, RowSource, p
 from coordinator.tables.table_reader import read_digest
 from schemas.base import Model
 from schemas.dataset.meta import (
+    FORMAT_WITH_SOURCES,
     DatasetMeta,
+    DatasetSource,
     GateOutcome,
     fields_of_plan,
     git_commit,
@@ -32,6 +34,7 @@ from schemas.dataset.meta import (
 )
 from schemas.dataset.rows import EpisodeSummary, FailedAttempt
 from schemas.errors import WorldError
+from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.storage.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
 from schemas.storage.place import Place
@@ -39,6 +42,9 @@ from schemas.storage.place import Place
 SIDE_COLUMN = "instance_side"
 """Name of the last column of `metadata.parquet`, the side of the target: `train`, `evaluation` or `shared`; null if the
 plan does not separate instances."""
+SOURCE_COLUMNS = ("source", "source_episode")
+"""Names of the columns that `metadata.parquet` of a dataset with sources has in addition: name of the source, and id of
+the episode in it."""
 _TYPES = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 
 
@@ -61,13 +67,21 @@ class TableContent(NamedTuple):
     """Results of the gate; empty keeps the results in the existing metadata."""
     refused_seeds: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     """Reasons why seeds of layouts were not used, by layout."""
+    sources: Sequence[DatasetSource] = ()
+    """Runs of a merged or extended dataset, in the order of their episodes."""
 
     def episode_rows(self, first: int, last: int) -> Iterator[dict[str, Any]]:
         """Yields rows of `metadata.parquet`."""
         for row in self.episodes.rows(first, last):
             plain = plain_row(row)
             side = self.sides.get(plain["scene"], {}).get(plain["target_id"])
-            yield {**plain, SIDE_COLUMN: None if side is None else str(side)}
+            yield {**plain, SIDE_COLUMN: None if side is None else str(side), **self._origin(plain["index"])}
+
+    def _origin(self, index: int) -> dict[str, str]:
+        source = next((each for each in self.sources if index in each.numbers), None)
+        if source is None:
+            return {}
+        return dict(zip(SOURCE_COLUMNS, (source.name, episode_id(source.own_index(index))), strict=True))
 
     def failure_rows(self, first: int, last: int) -> Iterator[dict[str, Any]]:
         """Yields rows of `attempts.parquet`."""
@@ -84,10 +98,17 @@ class TableChanges(NamedTuple):
 
 
 class DatasetTables:
-    """Writer of the four files of one dataset; keeps what it has written, for comparison."""
+    """Writer of the four files of one dataset; keeps what it has written, for comparison.
 
-    def __init__(self) -> None:
-        self._episodes = GroupedTable(METADATA_FILE, _METADATA_SCHEMA, aggregate_episodes)
+    Args:
+        has_sources: whether the dataset has sources, so its rows name them.
+    """
+
+    def __init__(self, *, has_sources: bool = False) -> None:
+        schema = _METADATA_SCHEMA
+        for name in SOURCE_COLUMNS if has_sources else ():
+            schema = schema.append(pa.field(name, pa.string()))
+        self._episodes = GroupedTable(METADATA_FILE, schema, aggregate_episodes)
         self._failures = GroupedTable(ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, aggregate_failures)
 
     def write(
@@ -113,7 +134,7 @@ class DatasetTables:
         failures = self._failures.write(archive, plan.episodes, content.failure_rows, changed[1])
         complete = episodes.rows == plan.episodes
         meta = DatasetMeta(
-            **fields_of_plan(plan),
+            **fields_of_plan(plan) | ({"format": FORMAT_WITH_SOURCES} if content.sources else {}),
             episodes=episodes.rows,
             planned=plan.episodes,
             complete=complete,
@@ -128,6 +149,7 @@ class DatasetTables:
             shared_instances=None if content.shared is None else dict(content.shared),
             gate=tuple(content.gate) or (former.gate if former else ()),
             refused_seeds=dict(content.refused_seeds) or (former.refused_seeds if former else {}),
+            sources=tuple(content.sources),
         )
         aggregates = TableAggregates.total((episodes, failures))
         card = dataset_card(meta, aggregates, splits_at(archive.root))

@@ -44,6 +44,7 @@ class CommandEntry(NamedTuple):
 VERBS = MappingProxyType(
     {
         "run": CommandEntry(_MAKE, "Generate a dataset from a plan, or continue an interrupted run."),
+        "merge": CommandEntry(_MAKE, "Merge datasets, also of different plans, into a new one."),
         "render": CommandEntry(_MAKE, "Render the frames and sensors of a states dataset."),
         "plan": CommandEntry(_MAKE, "Write, explain and check plans; find a feasible plan."),
         "scene": CommandEntry(_MAKE, "Build, import, inspect and render scenes."),

@@ -145,10 +145,11 @@ def _scenes_in(root: Path | None) -> set[str]:
 
 def episode_argument(function: Command) -> Command:
     """`EPISODE` as `episode`: a name or number, which the shell completes."""
-    return click.argument("episode", shell_complete=_complete_episode)(function)
+    return click.argument("episode", shell_complete=complete_episode)(function)
 
 
-def _complete_episode(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+def complete_episode(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    """Returns the episodes of the dataset on the command line whose names begin with a word."""
     root = _dataset_of(context)
     if root is None:
         return []

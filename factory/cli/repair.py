@@ -41,16 +41,25 @@ def command(
 
     Stop the coordinator of the dataset first. Every file is hashed. Valid episodes that are missing in the ledger are
     added to it. Invalid files are moved to quarantine/. Missing episodes are requeued; they are generated again with
-    the same content. A lost or damaged ledger is rebuilt from the plan and the episodes. The tables are rewritten.
+    the same content. A lost or damaged ledger is rebuilt from the plan and the episodes. The tables are rewritten. A
+    merged or extended dataset has no ledger: its missing episodes are simulated at once.
     """
     from coordinator.recovery.repair_dataset import repair
     from coordinator.validation.validator import Validator
+    from factory.runs.repair_joined import joined_meta, repair_joined
     from factory.support.logs import configure_logs
     from factory.support.settings import scene_cache
     from factory.support.terminal import one_bar, print_building, print_result
     from factory.verify.repair_input import inspect_dataset
 
     configure_logs()
+    if site.store is None and ledger is None and (meta := joined_meta(site.state_dir)) is not None:
+        with one_bar("checking files") as on_progress, Validator() as validator:
+            report = repair_joined(
+                site.state_dir, meta, validator, datetime.now(UTC), apply=not dry_run, on_progress=on_progress
+            )
+        print_result(report, as_json, _print)
+        return 1 if dry_run and not report.is_sound else 0
     plan = _plan_of(plan_name, site) if plan_name is not None else None
     with one_bar("checking files") as on_progress, Validator() as validator:
         dataset = inspect_dataset(

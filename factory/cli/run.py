@@ -23,6 +23,8 @@ from factory.cli.options import (
     workers_option,
 )
 from schemas.errors import UsageError
+from schemas.storage.dataset_files import SCENES
+from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     import threading
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
     from coordinator.service import Coordinator
     from factory.dataset.site import Site
+    from factory.runs.extend import Extension
     from factory.runs.gate_mode import GateMode
     from factory.runs.local import LocalRun
     from factory.runs.plan_changes import PlanChanges
@@ -83,6 +86,13 @@ no PLAN given, so the plan is `demo`, 16 episodes. Others:
     "--address", metavar="ADDRESS", help="Address of the Ray cluster. Default: RAY_ADDRESS, or a new local one."
 )
 @click.option(
+    "--extend",
+    "extends",
+    is_flag=True,
+    help="Add episodes to the finished dataset in --out: up to --episodes N in all, or those that PLAN has more. "
+    "Existing episodes keep their numbers and bytes.",
+)
+@click.option(
     "--dry-run", "is_dry", is_flag=True, help="Show the episodes, the size, the time and the free space; run nothing."
 )
 @ledger_option
@@ -100,6 +110,7 @@ def command(
     packages: Place | None,
     engine: str,
     address: str | None,
+    extends: bool,
     is_dry: bool,
     ledger: str | None,
     changes: PlanChanges,
@@ -123,7 +134,14 @@ def command(
 
     _begin_logs(verbose)
     _check_options(engine, address, renderer, pages)
-    plan, is_new = begin(plan_name, site, changes)
+    extension = _extension_of(plan_name, site, changes, shard, ledger) if extends else None
+    if extends and extension is None:
+        return _say_complete(site)
+    if extension is None:
+        plan, is_new = begin(plan_name, site, changes)
+    else:
+        plan, is_new, packages = extension.added, False, extension.root / SCENES
+        site = extension.site
     _note_plan(plan, is_chosen=plan_name is not None or not is_new)
     _check_disk(plan, None if is_dry or shard is not None else site)
     if is_dry:
@@ -153,9 +171,48 @@ def command(
             shard=shard,
             take_over=shard is not None and may_take_over(site, stop),
             cluster=cluster,
+            extends=None if extension is None else extension.root,
         )
         progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, pages, ledger))
+    if extension is not None and progress.finished and not progress.missing:
+        return _add(extension, as_json)
     return _print_end(run, site, progress, as_json)
+
+
+def _extension_of(
+    plan_name: str | None, site: Site, changes: PlanChanges, shard: RunShard | None, ledger: str | None
+) -> Extension | None:
+    from factory.runs.extend import plan_extension
+
+    if shard is not None or ledger is not None:
+        raise UsageError("--extend cannot be combined with --shard or --ledger")
+    return plan_extension(plan_name, site, changes)
+
+
+def _say_complete(site: Site) -> int:
+    click.echo(f"{site} has all requested episodes; nothing was run")
+    return 0
+
+
+def _add(extension: Extension, as_json: bool) -> int:
+    """Adds the episodes of a finished extension, prints the result and returns the exit code."""
+    from datetime import UTC, datetime
+
+    from factory.runs.extend import add_extension
+    from factory.support.terminal import print_json
+
+    meta = add_extension(extension, datetime.now(UTC))
+    added = meta.sources[-1]
+    if as_json:
+        print_json(meta.model_dump(mode="json", include={"run", "episodes", "planned", "complete", "dataset_digest"}))
+        return 0
+    click.echo(
+        f"{extension.root}: {added.episodes} episodes added, numbers {added.numbers[0]}-{added.numbers[-1]}; the "
+        "dataset "
+        f"has {meta.episodes} of {meta.planned} episodes"
+    )
+    click.echo(f"digest  {meta.dataset_digest}\nnext:    factory verify {quoted(extension.root)} --deep")
+    return 0
 
 
 def _begin_logs(verbose: bool) -> None:

@@ -55,17 +55,17 @@ def command(
     if kind == ".mp4":
         require_mp4()
     with path.open("rb") as file, EpisodeBundle(file, root) as bundle:
-        job = bundle.meta.job
+        job, bundle.name = bundle.meta.job, path.stem
         scene = read_geometry(find_package(root, job.scene, job.scene_sha256).path)
         with translated("create", target.parent):
             target.parent.mkdir(parents=True, exist_ok=True)
         facts: dict[str, object] = {
             "file": str(target),
             "kind": kind[1:],
-            "episode": job.episode_id,
+            "episode": bundle.episode_id,
             "frames": bundle.length,
         }
-        steps, instruction = read_steps(root, job.episode_id), read_instruction(root, job.episode_id)
+        steps, instruction = read_steps(root, path.stem), read_instruction(root, path.stem)
         if steps:
             facts["steps"] = [{"text": each.text, "start": each.start, "end": each.end} for each in steps]
         if kind == ".png":

@@ -281,6 +281,7 @@ class _Opened:
         self.pid = os.getpid()
         try:
             self.bundle = EpisodeBundle(file, path.parents[1], steps, ranges)
+            self.bundle.name = path.stem
         except InvalidBundle as error:
             refusal = _refusal(path, file, steps)
             self.close()

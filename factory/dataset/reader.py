@@ -118,6 +118,17 @@ class Dataset:
         """
         return map(self._columns.row, range(len(self)) if self._chosen is None else self._chosen.tolist())
 
+    def row(self, position: int) -> EpisodeSummary:
+        """Returns one validated row of `metadata`.
+
+        Args:
+            position: position in this dataset, from 0.
+
+        Raises:
+            ArchiveCorrupt: The row is damaged.
+        """
+        return _parse(self.root, self._columns.row(position if self._chosen is None else int(self._chosen[position])))
+
     @cached_property
     def instructions(self) -> pa.Table:
         """Table with one row for each instruction of these episodes, written by `factory relabel` (docs/language.md).
@@ -217,10 +228,7 @@ class Dataset:
         position = self._position(key) if isinstance(key, str) else key
         if not -len(self) <= position < len(self):
             raise IndexError(f"{self.root}: index {position} is out of range for {len(self)} episodes")
-        position %= len(self)
-        summary = _parse(
-            self.root, self._columns.row(position if self._chosen is None else int(self._chosen[position]))
-        )
+        summary = self.row(position % len(self))
         place = packed_place(self.root, summary.index)
         return Episode(place or self.root / file_name_of(summary.episode_id), summary, self.rig, self.appearance)
 

@@ -21,6 +21,7 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.options import GnmOptions, stride_of
+from factory.export.origin import write_origin
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.support.geometry import yaw_of
@@ -69,7 +70,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
     name = "gnm"
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
-    version = 2
+    version = 3
     options = GnmOptions
     facts = GnmFacts
 
@@ -84,6 +85,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         position = poses[:, :2]
         yaw = yaw_of(poses)
         (place / "traj_data.pkl").write_bytes(pickle_arrays({"position": position, "yaw": yaw}))
+        write_origin(episode, place)
         return GnmFacts(frames=len(steps), length_m=_length(position))
 
     def finish(self, export: Finish[GnmOptions, GnmFacts]) -> None:

@@ -18,6 +18,7 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.options import PaperOptions
+from factory.export.origin import write_origin
 from factory.export.rig.description import RIG_FILE, rig_json, rig_table
 from factory.export.rig.reader import SensorReader, arrays_of
 from factory.export.source import TIMES_AND_WORKERS, as_frames, plain_dataset_meta, plain_meta, to_json
@@ -92,7 +93,7 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
 
     name = "paper"
     about = "the paper's tree: PNG, NPY and PNG for each frame; lossless and large"
-    version = 2
+    version = 3
     takes_rig = True
     options = PaperOptions
     facts = PaperFacts
@@ -115,6 +116,7 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
             (root / f"{spec.name}.npy").write_bytes(episode.stored(f"{spec.name}.npy"))
         meta = episode.meta if is_stored else _sealed(episode, digests, visible)
         (root / "meta.json").write_text(_to_text(meta, options), encoding="utf-8")
+        write_origin(episode, root)
         if episode.rig is not None:
             write_sensors(SensorReader(episode), len(episode), root / "sensors")
         return PaperFacts(
@@ -172,13 +174,16 @@ def _metadata(export: Finish[PaperOptions, PaperFacts]) -> pa.Table:
     table, facts = export.dataset.metadata, [piece.facts for piece in export.pieces]
     ours = [name for name in table.column_names if name not in {*PUBLISHED_COLUMNS, *_OF_THE_BUNDLE}]
     rows = _decoded(table.take([piece.position for piece in export.pieces]).select([*PUBLISHED_COLUMNS, *ours]))
-    meta, count = export.dataset.meta, len(facts)
+    meta = export.dataset.meta
+    sources = [meta.source_of(index) for index in rows["index"].to_pylist()]
+    framed = {each.first: each.plan.model_copy(update={"record": Recording.FRAMES}) for each in meta.sources}
+    plans = [meta.plan if source is None else framed[source.first] for source in sources]
     values = {
         "split": [published_split(name, export.options) for name in rows["split"].to_pylist()],
         "content_digest": [one.content_digest for one in facts],
         "steps_visible": [one.steps_visible for one in facts],
-        "plan_digest": [meta.plan_digest] * count,
-        "run": [meta.run] * count,
+        "plan_digest": [plan.digest for plan in plans],
+        "run": [plan.run for plan in plans],
     }
     for name, column in values.items():
         place = rows.column_names.index(name)

@@ -15,6 +15,7 @@ from PIL import Image
 from factory.dataset.episode import Episode
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import stride_of
+from factory.export.origin import origin_of
 
 
 class RldsObservation(TypedDict):
@@ -91,6 +92,7 @@ def rlds_metadata(episode: Episode) -> dict[str, Any]:
         "target_id": row.target_id,
         "template_id": row.template_id,
         "states_digest": episode.states_digest,
+        "origin": origin_of(episode).to_json(),
     }
 
 

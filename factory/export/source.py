@@ -58,8 +58,10 @@ def as_frames(episode: Episode, steps_visible: int) -> EpisodeMeta:
         episode: episode of a states recording.
         steps_visible: number of frames in which the target is visible.
     """
-    described = described_as_frames(read_dataset_meta(episode.path.parents[1]))
-    plan = {"record": Recording.FRAMES, "run": described.run, "plan_digest": described.plan_digest}
+    described = read_dataset_meta(episode.path.parents[1])
+    source = described.source_of(episode.summary.index)
+    framed = (described.plan if source is None else source.plan).model_copy(update={"record": Recording.FRAMES})
+    plan = {"record": Recording.FRAMES, "run": framed.run, "plan_digest": framed.digest}
     meta = episode.meta
     return meta.with_frames(meta.job.model_copy(update=plan), steps_visible, episode.instances)
 

@@ -23,6 +23,8 @@ from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import WebdatasetOptions, stride_of
+from factory.export.origin import COLUMN as ORIGIN
+from factory.export.origin import origin_of
 from factory.export.rig.description import RIG_FILE, rig_json, rig_table
 from factory.export.rig.reader import SensorReader, arrays_of
 from schemas.encoding.ndarray import encode_npy
@@ -103,7 +105,8 @@ random order, and the frames of an episode are adjacent. Shuffle with a buffer o
 |---|---|
 {members}\
 | `action.json` | `v_mps`, `w_rps` until the next sample (mean of the commands in between), `v_token`, `w_token` |
-| `json` | instruction, episode, step, time, pose, target, split |
+| `json` | instruction, episode, step, time, pose, target, split; `origin`: JSON from which `factory replay --from` \
+simulates the episode again |
 
 ```python
 import webdataset
@@ -143,6 +146,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
 
     name = "webdataset"
     about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless"
+    version = 2
     assembles = True
     takes_rig = True
     options = WebdatasetOptions
@@ -154,11 +158,12 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         stride = stride_of(options.fps, hz)
         steps = kept_frames(len(episode), stride)
         columns = frame_columns(episode.actions, episode.poses, hz, stride)
+        origin = origin_of(episode).to_json()
         members = recorded_members if episode.rig is None else rig_members(SensorReader(episode), steps)
         size = 0
         with (folder / MEMBERS_FILE).open("wb") as file:
             for t, action, tokens in zip(steps, columns.action.tolist(), columns.tokens.tolist(), strict=True):
-                for suffix, data in (*members(episode, t), *_facts_members(episode, t, action, tokens)):
+                for suffix, data in (*members(episode, t), *_facts_members(episode, t, action, tokens, origin)):
                     write_member(file, f"{episode.episode_id}_{t:06d}.{suffix}", data)
                     size += member_bytes(len(data))
         return WebdatasetFacts(frames=len(steps), member_bytes=size)
@@ -221,10 +226,12 @@ def recorded_members(episode: Episode, t: int) -> Iterator[tuple[str, bytes]]:
     yield "seg.npy.gz", array_member(episode.ids(t))
 
 
-def _facts_members(episode: Episode, t: int, action: list[float], tokens: list[int]) -> Iterator[tuple[str, bytes]]:
+def _facts_members(
+    episode: Episode, t: int, action: list[float], tokens: list[int], origin: str
+) -> Iterator[tuple[str, bytes]]:
     (v, w), (v_token, w_token) = action, tokens
     yield "action.json", json_member({"v_mps": v, "w_rps": w, "v_token": v_token, "w_token": w_token})
-    yield "json", json_member(_facts(episode, t))
+    yield "json", json_member({**_facts(episode, t), ORIGIN: origin})
 
 
 def _facts(episode: Episode, t: int) -> dict[str, Any]:

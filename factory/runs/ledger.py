@@ -17,7 +17,7 @@ from schemas.dataset.run_shard import RunShard, read_shard_state
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
-from schemas.storage.dataset_files import LEDGER_FILE, META_FILE, is_dataset
+from schemas.storage.dataset_files import EXTENSION, LEDGER_FILE, META_FILE, is_dataset
 from schemas.storage.episode_list import list_episodes
 from schemas.storage.place import Place
 from schemas.storage.shard_index import shard_places
@@ -37,6 +37,11 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
             raise UsageError(f"directory {site} does not exist; {begin}")
         raise UsageError(
             f"the ledger of {site} is missing in {site.state_dir}; {begin}, or rebuild the ledger with `factory repair "
+            f"{quoted(site)}`"
+        )
+    if url is None and not (site.state_dir / LEDGER_FILE).is_file() and (runs := _joined_runs(site)):
+        raise WorldError(
+            f"{site} {runs} and has no ledger: see its content with `factory stats {quoted(site)}` or `factory serve "
             f"{quoted(site)}`"
         )
     if (
@@ -108,6 +113,34 @@ def require_outside_datasets(site: Site) -> None:
     around = next((parent for parent in site.state_dir.absolute().parents if is_dataset(parent)), None)
     if site.store is None and around is not None:
         raise UsageError(f"{site} is inside the dataset {around}: choose an --out outside of it")
+
+
+def require_single_run(site: Site) -> None:
+    """Raises `UsageError` if a dataset has several runs or an unfinished extension, so no run can be continued."""
+    if (site.state_dir / EXTENSION).is_dir():
+        raise UsageError(
+            f"{site} has an unfinished extension: finish it with `factory run --extend --out {quoted(site)}`, or "
+            "delete "
+            f"{quoted(site.state_dir / EXTENSION)}"
+        )
+    runs = _joined_runs(site)
+    if runs:
+        raise UsageError(f"{site} {runs}, so there is no run to continue: `factory merge` joins it with other datasets")
+
+
+def _joined_runs(site: Site) -> str:
+    """Returns the predicate of a sentence about a dataset of several runs; empty for others."""
+    try:
+        meta = read_dataset_meta(site.place)
+    except WorldError:
+        return ""
+    if not meta.sources:
+        return ""
+    if meta.sources[-1].extends:
+        return (
+            f"was extended to {meta.planned} episodes (more: `factory run --extend --episodes N --out {quoted(site)}`)"
+        )
+    return f"was merged from {len(meta.sources)} runs"
 
 
 def progress_of(site: Site, url: str | None = None) -> Progress:

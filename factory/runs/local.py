@@ -113,10 +113,14 @@ class LocalRun:
     """Whether to take over `store` from another state directory, whose coordinator must have ended."""
     cluster: RayCluster | None = None
     """Cluster that runs the workers; `None` runs them on this machine."""
+    extends: Path | None = None
+    """Dataset that the run extends; `None` for a run of its own."""
 
     @property
     def command(self) -> str:
         """Command line that continues the run."""
+        if self.extends is not None:
+            return f"factory run --extend --out {quoted(self.extends)}"
         site = self.store or self.root
         rig = "" if self.rig is None else f" --rig {self.rig}"
         rig += "" if self.appearance is None else f" --appearance {self.appearance}"

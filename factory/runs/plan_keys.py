@@ -27,6 +27,8 @@ _IN_A_FILE = {"name": '"FILE"', "task.success": '"surface"'}
 """Defaults of a plan file that differ from those of the model."""
 _ELSEWHERE = ("rig", "appearance")
 """Keys whose tables have their own documents."""
+_NOT_IN_FILES = frozenset({"extends"})
+"""Keys that a plan file cannot have."""
 
 STARTER = """\
 # A plan of minivla-factory. `factory plan keys` explains every key; `factory plan show FILE` checks this file.
@@ -108,6 +110,8 @@ def keys_as_markdown(keys: Sequence[PlanKey]) -> str:
 def _keys_of(model: type[BaseModel], prefix: str) -> Iterator[PlanKey]:
     meanings = _docstrings(model)
     for name, field in model.model_fields.items():
+        if name in _NOT_IN_FILES:
+            continue
         inner = next(models_in(field.annotation), None)
         key = f"{prefix}{name}"
         if inner is None or name in _ELSEWHERE:

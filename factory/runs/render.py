@@ -88,6 +88,12 @@ def prepare_rendering(
     dataset = Dataset(root)
     if dataset.meta.plan.record is not Recording.STATES:
         raise UsageError(f"{root} stores frames already: give a dataset of `factory run --record states`")
+    if dataset.meta.sources:
+        raise UsageError(
+            f"{root} has episodes of {len(dataset.meta.sources)} runs, and frames are stored run by run: render the "
+            "source "
+            "datasets before `factory merge`, or use the frames that readers and `factory export` render from states"
+        )
     _require_known_format(dataset)
     plan = shrink(dataset.meta.plan, record=Recording.FRAMES, rig=None if rig is None else load_rig(rig, None))
     if appearance is not None:

@@ -8,15 +8,18 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from factory.runs.scene_packages import find_package
 from schemas.bundle import BundleReader
+from schemas.dataset.origin import NOT_RECORDED, PACKAGE, EpisodeOrigin
 from schemas.errors import WorldError
 from schemas.storage.place import FilePlace, Place
-from schemas.terms import RendererKind
+from schemas.terms import Recording, RendererKind
+from schemas.view import ViewSettings
 from workers.sim.attempt import AttemptFailure, run_attempt
 from workers.sim.context import SimulationContext
 
@@ -62,15 +65,48 @@ def replay_episode(
         stage.load(find_package(root, job.scene, job.scene_sha256).path, job.scene_sha256)
         outcome = run_attempt(job, stage, out=out, sid="replay", on_step=lambda step: on_step(step, archived.length))
         if isinstance(outcome, AttemptFailure):
-            raise WorldError(f"{job.episode_id}: the replay ended with {outcome.reason}: {outcome.detail}")
-        return _compare(archived, out)
+            raise WorldError(f"{episode.stem}: the replay ended with {outcome.reason}: {outcome.detail}")
+        return _compare(archived, out, episode.stem)
 
 
-def _compare(archived: BundleReader, out: BinaryIO) -> Replay:
+def replay_origin(
+    origin: EpisodeOrigin, package: Path, renderer: RendererKind, on_step: Callable[[int, int], None]
+) -> Replay:
+    """Simulates an exported episode again, without its dataset, and compares the digest of its states.
+
+    Args:
+        origin: origin that the export states.
+        package: package of its scene.
+        renderer: renderer to use; `auto` uses the fastest available one.
+        on_step: called with the steps done and the largest possible number of steps.
+
+    Raises:
+        WorldError: the replayed attempt failed.
+    """
+    # a recording of states has the same states and does not encode frames
+    job = origin.job.model_copy(update={"record": Recording.STATES, "view": ViewSettings()})
+    with tempfile.TemporaryFile() as out, SimulationContext(renderer, apart=True) as stage:
+        stage.load(package, job.scene_sha256)
+        outcome = run_attempt(job, stage, out=out, sid="replay", on_step=lambda step: on_step(step, job.task.max_steps))
+        if isinstance(outcome, AttemptFailure):
+            raise WorldError(f"{origin.episode}: the replay ended with {outcome.reason}: {outcome.detail}")
+        replayed = BundleReader(out)
+        here = replayed.meta.provenance.fingerprint.software.get(PACKAGE, NOT_RECORDED)
+        return Replay(
+            episode_id=origin.episode,
+            archived_digest=origin.states_digest,
+            replayed_digest=replayed.states_digest(),
+            steps=replayed.length,
+            differences={},
+            fingerprint_changes={} if here == origin.version else {PACKAGE: (origin.version, here)},
+        )
+
+
+def _compare(archived: BundleReader, out: BinaryIO, name: str) -> Replay:
     replayed = BundleReader(out)
     is_identical = archived.meta.content_digest == replayed.meta.content_digest
     return Replay(
-        episode_id=archived.meta.episode_id,
+        episode_id=name,
         archived_digest=archived.meta.content_digest,
         replayed_digest=replayed.meta.content_digest,
         steps=archived.length,

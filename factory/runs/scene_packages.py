@@ -16,15 +16,16 @@ from typing import Any, NamedTuple
 import click
 
 from coordinator.expansion.catalog import SceneEntry, read_entry
-from factory.dataset.packages import find_package_file
+from factory.dataset.packages import find_package_file, package_file, packages_of
 from factory.scenes.stage_file import SCENE_SUFFIXES, find_fault
-from factory.support.settings import scene_cache
+from factory.support.settings import scene_cache, scene_path
 from schemas.dataset.meta import read_dataset_meta
-from schemas.errors import FactoryError, UsageError
+from schemas.dataset.origin import EpisodeOrigin
+from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.layouts import LayoutPlan
 from schemas.plan import ScenePlan
 from schemas.scene import CompiledScene, read_info, read_scene
-from schemas.storage.place import Place
+from schemas.storage.place import Place, digest_of
 from schemas.support.shell import quoted
 from schemas.support.suggest import did_you_mean
 from schemas.terms import BUILTIN_CATEGORIES, family_of, layout_number
@@ -41,7 +42,35 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
     return read_entry(find_package_file(root, name, sha256))
 
 
-_PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
+def package_of_origin(origin: EpisodeOrigin, scenes: Place | None) -> Path:
+    """Returns the package of the scene of an exported episode.
+
+    Args:
+        origin: origin of the episode.
+        scenes: folder with the package; `None` searches `MINIVLA_SCENES` and the cache, and builds a built-in scene.
+
+    Raises:
+        WorldError: no package with the recorded digest was found or built.
+    """
+    job = origin.job
+    folders = (scenes,) if scenes is not None else (*scene_path(), scene_cache())
+    for place in (place for folder in folders for place in packages_of(folder, job.scene)):
+        path = package_file(place)
+        if digest_of(path) == job.scene_sha256:
+            return path
+    built = built_in_layout(job.scene, 0) if scenes is None else None
+    if built is not None:
+        from factory.scenes.build import build_scene
+
+        path = build_scene(built.name, built.seed, scene_cache(), called=built.called)
+        if digest_of(path) == job.scene_sha256:
+            return path
+    raise WorldError(
+        f"{origin.episode} needs the package of scene {job.scene} with SHA-256 {job.scene_sha256}, which is not in "
+        f"{', '.join(map(str, folders))}{' and which this version does not build' if built else ''}: give --scenes "
+        "with "
+        "the folder `scenes` of the dataset"
+    )
 
 
 def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:

@@ -23,7 +23,7 @@ from factory.runs.catalog import open_catalog, scenes_before_run
 from factory.runs.gate import gate_plans
 from factory.runs.gate_mode import GateMode
 from factory.runs.layouts import BuiltLayout, LayoutBuilds
-from factory.runs.ledger import plan_of, require_outside_datasets
+from factory.runs.ledger import plan_of, require_outside_datasets, require_single_run
 from factory.runs.plan_changes import PlanChanges
 from factory.support.settings import scene_cache
 from factory.support.terminal import Bars, print_building
@@ -52,9 +52,11 @@ def begin(name: str | None, site: Site, changes: PlanChanges) -> RunStart:
         changes: changes of the requested plan.
 
     Raises:
-        UsageError: the directory has a different plan, or is inside another dataset.
+        UsageError: the directory has a different plan, has several runs or an unfinished extension, or is inside
+            another dataset.
         WorldError: the directory cannot be read.
     """
+    require_single_run(site)
     recorded = plan_of(site)
     wanted = _load(name, recorded) if name is not None else recorded or load_plan("demo")
     plan = shrunk_plan(wanted, changes)

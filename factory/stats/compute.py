@@ -9,7 +9,7 @@ from factory.stats import counts, rollouts
 from factory.stats.rows import Rows, read_rows
 from factory.stats.statistics import Statistics
 from schemas.storage.place import Place
-from schemas.terms import SuccessMeasure
+from schemas.terms import SuccessMeasure, family_of
 
 _LARGEST = 3
 _OTHER = MappingProxyType(
@@ -56,7 +56,7 @@ def _all_tables(name: str, rows: Rows) -> Statistics:
     success, other = plan.task.success, _OTHER[plan.task.success]
     episodes = rollouts.by_measure(rows.episodes, success)
     episodes_by_other = rollouts.by_measure(rows.episodes, other)
-    scenes = [scene.name for scene in plan.scenes]
+    scenes = list(dict.fromkeys(family_of(scene.name) for scene in plan.scenes))
     radius_m = plan.task.success_radius_m
     categories = counts.count_categories(episodes, plan)
     return Statistics(
@@ -77,7 +77,7 @@ def _all_tables(name: str, rows: Rows) -> Statistics:
         three_largest_share=counts.share_of_largest(categories, _LARGEST),
         templates=counts.count_templates(episodes),
         attempts=None if failures is None else counts.attempt_rows(episodes, failures, scenes),
-        cells=counts.cell_rows(episodes, failures, plan),
+        cells=counts.cell_rows(episodes, failures, rows.meta.plans),
         navigation_error=rollouts.navigation_errors(episodes, scenes, radius_m),
         other_error=rollouts.navigation_errors(episodes_by_other, scenes, radius_m) if episodes_by_other else (),
         correlation=rollouts.correlations(episodes, scenes),

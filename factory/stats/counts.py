@@ -125,27 +125,27 @@ def first_of_near_and_mid(rows: Iterable[AttemptRow], scene: str) -> Share:
 
 
 def cell_rows(
-    episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt] | None, plan: Plan
+    episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt] | None, plans: Sequence[Plan]
 ) -> tuple[CellRow, ...]:
-    """Returns quota, episodes and attempts of each cell (scene x split x tier) that is in the plan or has episodes."""
+    """Returns quota, episodes and attempts of each cell (scene x split x tier) that is in a plan or has episodes."""
     archived = Counter((family_of(row.scene), str(row.split), str(row.spawn_tier)) for row in episodes)
     failed = Counter(
         (family_of(row.scene), str(row.split), str(row.spawn_tier))
         for row in failures or ()
         if row.reason in _TASK_FAILURES
     )
-    planned = {
-        (scene.name, str(split), str(tier)): count
-        for scene in plan.scenes
-        for (split, tier), count in cells(plan, scene).items()
-    }
+    planned: Counter[tuple[str, str, str]] = Counter()
+    for plan in plans:
+        for scene in plan.scenes:
+            for (split, tier), count in cells(plan, scene).items():
+                planned[family_of(scene.name), str(split), str(tier)] += count
     order = dict.fromkeys([*planned, *sorted(archived.keys() | failed.keys())])
     return tuple(
         CellRow(
             scene=key[0],
             split=key[1],
             tier=key[2],
-            planned=planned.get(key, 0),
+            planned=planned[key],
             archived=archived[key],
             attempts=None if failures is None else archived[key] + failed[key],
         )

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import pyarrow as pa
 from pydantic import ValidationError
 
-from coordinator.expansion.cells import cells
+from coordinator.expansion.cells import planned_cells
 from factory.dataset.columns import read_table
 from factory.dataset.reader import Dataset
 from factory.stats.statistics import Remark
@@ -154,9 +154,8 @@ def _compare_with_meta(rows: Rows, table_rows: int) -> None:
 
 def _compare_with_plan(rows: Rows) -> None:
     """Adds a remark about cells above their quota and, if the run is complete, also about cells below it."""
-    plan = rows.meta.plan
     counts = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
-    wanted = {(scene.name, *cell): count for scene in plan.parts for cell, count in cells(plan, scene).items()}
+    wanted = planned_cells(rows.meta.plans)
     wrong = [
         f"{' / '.join(key)} has {counts[key]} of {wanted.get(key, 0)} episodes"
         for key in sorted(counts.keys() | wanted.keys())

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from coordinator.expansion.catalog import SceneEntry, read_entry
-from coordinator.expansion.cells import cells
+from coordinator.expansion.cells import planned_cells
 from coordinator.tables.card import names_split_tables
 from coordinator.tables.split_tables import FaultKind, find_faults
 from factory.dataset.reader import Dataset, Episode
@@ -188,15 +188,14 @@ def verify(
     report.rendered = len(drawn)
     rows = RowCheck(dataset, report)
     frames_of = _reference_episodes(reference, dataset, drawn)
-    language = meta.plan.language
-    is_drawn = language is not None and language.exchangeable
+    is_drawn = any(plan.language is not None and plan.language.exchangeable for plan in meta.plans)
     checks = _plan_checks(
         rows,
         _check_scenes(root, meta, report),
         report=report,
         drawn=drawn,
         frames_of=frames_of,
-        relabelled=meta.relabelling is not None,
+        meta=meta,
         is_drawn=is_drawn,
     )
     for done, result in enumerate(run_checks(checks, processes), 1):
@@ -251,7 +250,7 @@ def _plan_checks(
     report: VerifyReport,
     drawn: Collection[str],
     frames_of: Mapping[str, Episode],
-    relabelled: bool,
+    meta: DatasetMeta,
     is_drawn: bool,
 ) -> Iterator[EpisodeCheck]:
     for row in rows:
@@ -268,7 +267,8 @@ def _plan_checks(
             render=name in drawn,
             reference=frames,
             package=package,
-            relabelled=relabelled,
+            relabelled=meta.relabelling is not None,
+            own_index=meta.own_index(row.index),
         )
 
 
@@ -384,15 +384,11 @@ def _check_textures(root: Place, scenes: Iterable[SceneEntry], report: VerifyRep
 def _check_quotas(meta: DatasetMeta, rows: RowCheck, report: VerifyReport) -> None:
     """Compares the number of episodes in every cell with the plan; an incomplete dataset may have fewer."""
     recorded = rows.cells
-    wanted = {
-        (scene.name, split, tier): count
-        for scene in meta.plan.parts
-        for (split, tier), count in cells(meta.plan, scene).items()
-    }
+    wanted = planned_cells(meta.plans)
     for key in sorted(recorded.keys() | wanted.keys()):
         have, want = recorded.get(key, 0), wanted.get(key, 0)
         if have > want or (meta.complete and have < want):
             report.add(Kind.CONTRADICTION, METADATA_FILE, f"{'/'.join(key)}: {have} episodes, the plan has {want}")
-    runs = sorted(rows.plans - {meta.plan_digest})
+    runs = sorted(rows.plans - {plan.digest for plan in meta.plans})
     if runs:
         report.add(Kind.CONTRADICTION, METADATA_FILE, f"episodes of other plans: {', '.join(runs)}")

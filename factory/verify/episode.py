@@ -16,9 +16,9 @@ from factory.dataset.episode import Episode
 from factory.verify.findings import Finding, Kind
 from factory.verify.rendering import RenderDifference, compare_rendered
 from schemas.bundle import BundleReader
-from schemas.dataset.rows import EpisodeSummary, summary_of
+from schemas.dataset.rows import EpisodeSummary, renumbered, summary_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
-from schemas.job import Job
+from schemas.job import Job, episode_id
 from schemas.scene import Target
 from schemas.storage.dataset_files import METADATA_FILE
 from schemas.storage.place import Place, opened
@@ -46,6 +46,9 @@ class EpisodeCheck:
     """Package of the scene; `None` where it cannot be read."""
     relabelled: bool = False
     """Whether the row has a new instruction, which differs from that of the episode."""
+    own_index: int | None = None
+    """Number that the file of the episode must have recorded; `None` for the number in the row. It differs in a merged
+    dataset."""
 
 
 class EpisodeFindings(NamedTuple):
@@ -79,7 +82,7 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
                 with BundleReader(file) as bundle:
                     violations = validate(bundle, candidates=_candidates(check, bundle.meta.job))
                     violations += [] if violations else said_findings(bundle, check.package)
-                    differences = _differences(row, summary_of(bundle.meta, sha256, size), check.relabelled)
+                    differences = _differences(row, _row_of(check, bundle, sha256, size), check.relabelled)
                 findings += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
                 findings += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
             if check.render:
@@ -96,6 +99,14 @@ def check_episode(check: EpisodeCheck) -> EpisodeFindings:
     except OSError as error:
         findings.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
     return EpisodeFindings(findings, difference)
+
+
+def _row_of(check: EpisodeCheck, bundle: BundleReader, sha256: str, size: int) -> EpisodeSummary:
+    """Returns the row that the dataset should have for a file; in a merged dataset, the row has another number."""
+    row = summary_of(bundle.meta, sha256, size)
+    if check.own_index is None or row.index != check.own_index:
+        return row
+    return renumbered(row, check.row.index, episode_id(check.row.index))
 
 
 def _candidates(check: EpisodeCheck, job: Job) -> tuple[Target, ...]:

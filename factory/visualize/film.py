@@ -184,6 +184,6 @@ def facts_of_step(episode: BundleReader, t: int) -> str:
     distance = Goal.of_episode(meta).distance(*episode.arrays.poses[t, :2].tolist())
     part = "footprint" if job.task.success is SuccessMeasure.SURFACE else "centre"
     return (
-        f"{meta.episode_id}  {job.scene}  {job.tier}  {job.target_id}   t {t / job.task.control_hz:5.2f} s   "
+        f"{episode.episode_id}  {job.scene}  {job.tier}  {job.target_id}   t {t / job.task.control_hz:5.2f} s   "
         f"v {speed:4.2f} m/s   w {turn:+5.2f} rad/s   {distance:4.2f} m from the target's {part}"
     )

@@ -141,7 +141,7 @@ def draw_contact_sheet(
 
 def _write_head(sheet: Image.Image, episode: BundleReader, instruction: str) -> None:
     job, rollout = episode.meta.job, episode.meta.rollout
-    words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {instruction}"
+    words = f"{episode.episode_id}  {job.scene}  {job.split}  {job.tier}  {instruction}"
     facts = (
         f"{job.target_id} ({job.colour})  attempt {job.attempt}  {rollout.num_steps} steps  "
         f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  {describe_error(rollout)}"

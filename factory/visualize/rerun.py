@@ -230,7 +230,8 @@ def _name_of(prim_path: str, category: str | None) -> str:
 def _describe_episode(episode: Episode) -> str:
     meta, job, rollout = episode.meta, episode.meta.job, episode.meta.rollout
     return (
-        f"# {episode.instruction}\n\n{job.episode_id}, {job.scene}, {job.split}, {job.tier}, target {job.target_id} "
+        f"# {episode.instruction}\n\n{episode.episode_id}, {job.scene}, {job.split}, {job.tier}, target "
+        f"{job.target_id} "
         f"({job.colour}), template {meta.template_id}, expert {job.expert}\n\n{rollout.num_steps} steps, start "
         f"{rollout.spawn_dist_m:.2f} m, TL {rollout.trajectory_length_m:.2f} m, {describe_error(rollout)}"
     )

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
-from schemas.base import Fraction, Model, Sha256
+from schemas.base import Fraction, Line, Model, Ordinal, Sha256
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.dataset_files import META_FILE, is_submitted_run
@@ -24,10 +24,11 @@ from schemas.support.shell import quoted
 from schemas.terms import Recording
 from schemas.view import ViewSettings
 
-DATASET_FORMAT = 2
-"""Newest version of the dataset directory: in version 2, the plan has a rig or an appearance; in version 1, neither. A
-reader opens its own version and older ones, and rejects newer ones."""
-_FORMAT_WITHOUT_RIG = 1
+_FORMAT_WITHOUT_RIG, FORMAT_WITH_RIG, FORMAT_WITH_SOURCES = 1, 2, 3
+DATASET_FORMAT = FORMAT_WITH_SOURCES
+"""Newest version of the dataset directory: in version 3, the dataset has sources; in version 2, the plan has a rig or
+an appearance; in version 1, neither. A reader opens its own version and older ones, and rejects newer ones."""
+_MAX_SOURCES = 1000
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
 
@@ -62,6 +63,36 @@ class Relabelling(Model):
     """Number of rows of `instructions.parquet`."""
     recorded: Annotated[int, Field(ge=0)]
     """Number of episodes that keep their recorded instruction, because no new one fits their target."""
+
+
+class DatasetSource(Model):
+    """Run whose episodes are part of a merged or extended dataset; they have consecutive numbers there."""
+
+    name: Line
+    """Name of the folder that the dataset of the run had."""
+    run: Line
+    """Name of the run."""
+    plan_digest: Sha256
+    """Digest of the plan, which the episodes record."""
+    plan: Plan
+    """Plan of the run."""
+    first: Ordinal
+    """Number of the episode that was the first one of the run."""
+    episodes: Annotated[int, Field(ge=0)]
+    """Number of archived episodes."""
+    dataset_digest: Sha256 | None = None
+    """Digest of the dataset of the run; null if it was incomplete, or was itself part of a merged dataset."""
+    extends: bool = Field(default=False, exclude_if=lambda it: not it)
+    """Whether `factory run --extend` has added the run; omitted if not."""
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of the planned episodes in the dataset."""
+        return range(self.first, self.first + self.plan.episodes)
+
+    def own_index(self, index: int) -> int:
+        """Returns the number that an episode has in its run and in its file."""
+        return index - self.first + 1
 
 
 class DatasetMeta(Model):
@@ -112,6 +143,25 @@ class DatasetMeta(Model):
     """Reasons why earlier seeds of a layout were not used, by layout; omitted if there are none."""
     relabelling: Relabelling | None = Field(default=None, exclude_if=lambda it: it is None)
     """Source of the new instructions; omitted for a dataset with its recorded instructions."""
+    sources: Annotated[tuple[DatasetSource, ...], Field(max_length=_MAX_SOURCES)] = Field(
+        default=(), exclude_if=lambda it: not it
+    )
+    """Runs that `factory merge` or `factory run --extend` joined, in the order of their episodes; `plan` describes the
+    whole dataset. Omitted for the dataset of one run."""
+
+    @property
+    def plans(self) -> tuple[Plan, ...]:
+        """Plans of the episodes: that of each source, or that of the only run."""
+        return tuple(source.plan for source in self.sources) or (self.plan,)
+
+    def source_of(self, index: int) -> DatasetSource | None:
+        """Returns the source of an episode; `None` for the dataset of one run."""
+        return next((source for source in self.sources if index in source.numbers), None)
+
+    def own_index(self, index: int) -> int:
+        """Returns the number that an episode has in its run and in its file; `index`, if the dataset is of one run."""
+        source = self.source_of(index)
+        return index if source is None else source.own_index(index)
 
 
 def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
@@ -123,13 +173,13 @@ def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
 
 def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
     """Returns the description with its plan replaced by another plan of the same episodes."""
-    return meta.model_copy(update=fields_of_plan(plan))
+    return meta.model_copy(update=fields_of_plan(plan) | ({"format": meta.format} if meta.sources else {}))
 
 
 def fields_of_plan(plan: Plan) -> dict[str, Any]:
     """Returns the fields of a description that depend on the plan only."""
     return {
-        "format": _FORMAT_WITHOUT_RIG if plan.view == ViewSettings() else DATASET_FORMAT,
+        "format": _FORMAT_WITHOUT_RIG if plan.view == ViewSettings() else FORMAT_WITH_RIG,
         "run": plan.run,
         "plan_digest": plan.digest,
         "seed": plan.seed,

@@ -200,6 +200,17 @@ def file_name_of(episode_id: str) -> str:
     return f"episodes/{episode_id}.zip"
 
 
+def renumbered(row: EpisodeSummary, index: int, episode_id: str) -> EpisodeSummary:
+    """Returns the row of an episode with another number in its dataset.
+
+    Args:
+        row: row of the episode.
+        index: number of the episode.
+        episode_id: name of the episode with that number.
+    """
+    return row.model_copy(update={"index": index, "episode_id": episode_id, "file_name": file_name_of(episode_id)})
+
+
 def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
     """Returns the row of an episode.
 

@@ -15,6 +15,7 @@ CARD_FILE = "README.md"
 RUN_SHARD_FILE = "run_shard.json"
 MARKS_FILE = "marks.json"
 SPLITS_FOLDER = "data"
+EXTENSION, FORMER_LEDGERS, SOURCES_FILE = ".extension", ".ledgers", ".sources.json"
 _TABLES = {METADATA_FILE, ATTEMPTS_FILE, SHARDS_FILE, INSTRUCTIONS_FILE, STEPS_FILE, QUESTIONS_FILE}
 _FOLDERS = {EPISODES, SCENES, SPLITS_FOLDER, QUARANTINE}
 _PARTS = frozenset({*_FOLDERS, META_FILE, CARD_FILE, MARKS_FILE, RELABEL_FILE, RUN_SHARD_FILE, *_TABLES})
@@ -22,7 +23,12 @@ _PARTS = frozenset({*_FOLDERS, META_FILE, CARD_FILE, MARKS_FILE, RELABEL_FILE, R
 
 def is_part(name: str) -> bool:
     """Returns whether a directory entry belongs to the dataset; true for hidden files and the files of the ledger."""
-    return name in _PARTS or name.startswith((".", "ledger."))
+    return name in _PARTS or name.startswith(".") or is_ledger_file(name)
+
+
+def is_ledger_file(name: str) -> bool:
+    """Returns whether a directory entry is a file of the ledger."""
+    return name.startswith("ledger.")
 
 
 def is_dataset(folder: Path) -> bool:

@@ -30,10 +30,13 @@ CONTROL_HZ = 30
 """Frames per second of the drives: half the usual rate, so fewer frames are rendered."""
 
 
-def driven_plan(record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL) -> Plan:
+def driven_plan(
+    record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL, seed: int = 42
+) -> Plan:
     """Returns a plan of near episodes with short drives; the physics step has its usual length."""
     return Plan(
         name="driven",
+        seed=seed,
         scenes=(ScenePlan(name=SCENE, episodes=episodes, usd="room.usda", seen=("crate", "barrel")),),
         tiers={Tier.NEAR: 1.0},
         splits={Split.TRAIN_ID: 1.0},
@@ -44,9 +47,15 @@ def driven_plan(record: Recording, episodes: int = 2, expert: ExpertName = Exper
     )
 
 
-def make_driven(root: Path, record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL) -> Plan:
+def make_driven(
+    root: Path,
+    record: Recording,
+    episodes: int = 2,
+    expert: ExpertName = ExpertName.PROPORTIONAL,
+    seed: int = 42,
+) -> Plan:
     """Drives and archives all episodes of `driven_plan`; returns the plan. Needs an EGL driver."""
-    plan = driven_plan(record, episodes, expert)
+    plan = driven_plan(record, episodes, expert, seed)
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(encode_scene(box_room()))
     catalog = {SCENE: read_entry(source)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ from factory.dataset.reader import Dataset
 from factory.export.execution.estimate import estimate_export
 from factory.export.execution.export_run import ExportOrder, ExportProgress, run_export
 from factory.export.execution.manifest import MANIFEST_FILE, read_manifest
+from factory.export.origin import find_origin, origin_of
 from factory.export.output import WORK_FOLDER
 from factory.export.registry import EXPORTERS, find_exporter
 from schemas.errors import UsageError, WorldError
@@ -103,6 +105,24 @@ def test_an_interrupted_export_resumes(dataset: Path, reference: dict[str, Path]
     report = run_export(order(dataset, tmp_path / "out", name))
     assert (report.complete, report.resumed) == (True, EPISODES)
     assert contents(tmp_path / "out") == contents(reference[name])
+
+
+@every_format
+def test_an_export_names_what_replays_each_episode(dataset: Path, reference: dict[str, Path], name: str) -> None:
+    for number, episode in enumerate(Dataset(dataset), 1):
+        origin = find_origin(reference[name], str(number))
+        assert origin == origin_of(episode)
+        job, row = origin.job, episode.summary
+        assert (origin.episode, job.index, job.attempt) == (row.episode_id, row.index, row.attempt)
+        assert (job.scene_sha256, job.plan_digest, job.root_seed) == (row.scene_sha256, row.plan_digest, 42)
+        assert origin.states_digest == episode.states_digest
+        assert origin.version == json.loads(row.software).get("minivla-factory", "unknown")
+
+
+@every_format
+def test_an_episode_that_an_export_lacks_is_refused(reference: dict[str, Path], name: str) -> None:
+    with pytest.raises(UsageError, match=r"has no episode ep_000009; it has ep_00000"):
+        find_origin(reference[name], "9")
 
 
 _HARD_TIMES = """

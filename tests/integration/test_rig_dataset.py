@@ -19,7 +19,7 @@ from factory.runs.render import prepare_rendering
 from factory.runs.replay import replay_episode
 from factory.verify.dataset import verify
 from factory.verify.rendering import RenderDifference, compare_rendered
-from schemas.dataset.meta import DATASET_FORMAT, described_by
+from schemas.dataset.meta import FORMAT_WITH_RIG, described_by
 from schemas.encoding.container import ContainerWriter
 from schemas.episode import BUNDLE_FORMAT
 from schemas.errors import InvalidRig, UsageError
@@ -94,7 +94,7 @@ def test_rig_and_its_digest_are_described(rigged: Path) -> None:
     dataset = Dataset(rigged)
     rig = dataset.meta.plan.rig
     assert rig is not None
-    assert (dataset.meta.format, dataset.meta.rig_digest) == (DATASET_FORMAT, rig.digest)
+    assert (dataset.meta.format, dataset.meta.rig_digest) == (FORMAT_WITH_RIG, rig.digest)
     meta = dataset[0].meta
     assert (meta.format, meta.job.view.rig, list(meta.sensor_digests)) == (
         BUNDLE_FORMAT,

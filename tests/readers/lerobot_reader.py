@@ -17,6 +17,7 @@ from pathlib import Path
 
 import torch
 from lerobot.datasets.aggregate import aggregate_datasets
+from lerobot.datasets.dataset_tools import delete_episodes, split_dataset
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.scripts.convert_dataset_v21_to_v30 import convert_dataset
 from lerobot_frames import RGB, Listed, check_batches, check_frames
@@ -34,6 +35,7 @@ def main() -> None:
             print_row(export, f"{reader}, {backend}", check_export(paper, export, backend))
         print_row(export, reader, check_parts(export))
         print_row(export, reader, check_aggregate(export))
+        print_row(export, reader, check_tools(export))
 
 
 def backends() -> list[str]:
@@ -90,6 +92,26 @@ def check_aggregate(export: Path) -> str:
         for index in (0, len(one) - 1):
             assert torch.equal(joined[index + len(one)][RGB], one[index][RGB])
     return f"aggregate_datasets joined two copies to {len(joined)} frames"
+
+
+def check_tools(export: Path) -> str:
+    """Splits the export and deletes an episode with LeRobot's tools; every remaining episode must keep its origin."""
+    data = LeRobotDataset("test/nav", root=export, video_backend="pyav")
+    wanted = origins_of(data)
+    assert all(json.loads(text)["job"]["plan_digest"] for text in wanted)
+    count = len(wanted)
+    with tempfile.TemporaryDirectory() as place:
+        parts = split_dataset(data, {"a": [0], "b": [*range(1, count)]}, output_dir=Path(place) / "split")
+        assert [*origins_of(parts["a"]), *origins_of(parts["b"])] == wanted
+        assert "episode_id" not in parts["a"].meta.episodes.column_names
+        left = delete_episodes(data, [0], output_dir=Path(place) / "left", repo_id="test/left")
+        assert origins_of(left) == wanted[1:]
+    return f"split_dataset and delete_episodes kept the origins of {count} episodes"
+
+
+def origins_of(data: LeRobotDataset) -> list[str]:
+    """Returns the origin of each episode, which its first frame has."""
+    return [data.hf_dataset[start]["origin"] for start in data.meta.episodes["dataset_from_index"]]
 
 
 if __name__ == "__main__":

@@ -35,7 +35,8 @@ def check_episode(bundle: Path, folder: Path) -> int:
     """Compares every member of a bundle with its file: raw bytes, and decompressed bytes for depth."""
     with zipfile.ZipFile(bundle) as stored:
         expected = {name.removesuffix(".zst"): name for name in stored.namelist()}
-        found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+        assert json.loads((folder / "origin.json").read_text())["episode"] == bundle.stem
+        found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {"origin.json"}
         assert found == expected.keys(), f"{bundle.stem}: {sorted(found ^ expected.keys())[:5]}"
         for name, member in expected.items():
             data = stored.read(member)

@@ -94,7 +94,7 @@ def make_piece(task: ExportTask) -> PieceResult:
 def _require_as_listed(episode: Episode) -> None:
     """Validates that the content of a file matches its row of the metadata."""
     meta, row = episode.meta, episode.summary
-    if (meta.episode_id, meta.content_digest) != (row.episode_id, row.content_digest):
+    if meta.content_digest != row.content_digest:
         problem = f"{meta.episode_id} with content digest {meta.content_digest}, but the table has {row.content_digest}"
         raise ArchiveCorrupt(f"{episode.path} contains {problem}: run `factory verify --deep`")
 

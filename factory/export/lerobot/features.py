@@ -13,6 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from factory.export.lerobot.layout import Column, ImageFeature, Layout
+from factory.export.origin import COLUMN as ORIGIN
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, Codec
 from schemas.rig import CameraOutput
 
@@ -59,6 +60,8 @@ def features_of(layout: Layout, fps: int) -> dict[str, Any]:
     for name, column in layout.columns.items():
         names = list(column.names) if column.names else None
         features[name] = {"dtype": column.dtype, "shape": list(column.shape) or [1], "names": names}
+    # a column of the frames, because LeRobot's tools keep those, but drop the columns of `meta/episodes`
+    features[ORIGIN] = {"dtype": "string", "shape": [1], "names": None}
     return features
 
 
@@ -74,6 +77,8 @@ def data_schema(layout: Layout, list_type: Literal["List", "Sequence"] = "List")
     for name, column in layout.columns.items():
         fields.append(pa.field(name, _type_of(column)))
         described[name] = _described(column, list_type)
+    fields.append(pa.field(ORIGIN, pa.string()))
+    described[ORIGIN] = {"dtype": "string", "_type": "Value"}
     metadata = {"huggingface": json.dumps({"info": {"features": described}})}
     return pa.schema(fields, metadata=metadata)
 

@@ -22,6 +22,8 @@ from factory.export.lerobot.features import LARGEST_CODE, DepthCode, data_schema
 from factory.export.lerobot.layout import STATE, ImageFeature, Layout, layout_of
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
 from factory.export.options import LeRobotOptions, stride_of
+from factory.export.origin import COLUMN as ORIGIN
+from factory.export.origin import origin_of
 from factory.export.rig.reader import SensorReader
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.png import encode_png
@@ -113,6 +115,7 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
     values |= {name: getattr(columns, name) for name in layout.columns if hasattr(columns, name)}
     if reader is not None:
         values |= rig_columns(layout, reader, kept)
+    values[ORIGIN] = np.array([origin_of(episode).to_json(), *[""] * (len(kept) - 1)], dtype=object)
     pq.write_table(_table(values, pictures, layout), folder / FRAMES_FILE, compression="snappy")
     counts = {key: tally.result() for key, tally in tallies.items()}
     return LeRobotFacts(frames=len(kept), images=counts, states_digest=episode.states_digest)

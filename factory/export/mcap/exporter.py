@@ -18,6 +18,8 @@ from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
 from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile, foxglove_card, ros2_card
 from factory.export.mcap.sensor_frames import require_different_frames
 from factory.export.options import SPACING_S, McapOptions, stride_of
+from factory.export.origin import COLUMN as ORIGIN
+from factory.export.origin import origin_of
 from factory.export.rig.description import RIG_FILE, rig_json
 from factory.export.rig.reader import SensorReader
 from factory.export.source import describe_episode, to_json
@@ -52,7 +54,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
         stride = stride_of(options.fps, job.task.control_hz)
         scene = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
         profile = ROS2 if options.ros2 else FOXGLOVE
-        start_ns = (options.start_s + SPACING_S * (job.index - 1)) * _NANOSECONDS if options.ros2 else 0
+        start_ns = (options.start_s + SPACING_S * (episode.summary.index - 1)) * _NANOSECONDS if options.ros2 else 0
         path = folder / "episodes" / f"{episode.episode_id}.mcap"
         path.parent.mkdir()
         with path.open("wb") as file:
@@ -113,6 +115,7 @@ class _Recording:
             "target_id": row.target_id,
             "template_id": row.template_id,
             "states_digest": episode.states_digest,
+            ORIGIN: origin_of(episode).to_json(),
         }
         self._out.add_metadata("episode", {name: str(value) for name, value in facts.items()})
         described = to_json(describe_episode(episode)).encode()

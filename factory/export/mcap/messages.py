@@ -73,7 +73,7 @@ def static_messages(episode: Episode, scene: CompiledScene, stamp_ns: int) -> It
     """
     meta, stamp = episode.meta, _timestamp(stamp_ns)
     yield TopicMessage(
-        "/instruction", {"timestamp": stamp, "level": _INFO, "message": meta.instruction, "name": meta.episode_id}
+        "/instruction", {"timestamp": stamp, "level": _INFO, "message": meta.instruction, "name": episode.episode_id}
     )
     yield TopicMessage("/map", _map_message(scene, stamp))
     yield TopicMessage("/target", {"entities": [_target_message(scene.info.target(meta.job.target_id), stamp)]})

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.dataset.origin import EpisodeOrigin
 from schemas.episode import EpisodeMeta
 from schemas.language.route.meaning import SubInstruction
 from schemas.support.geometry import yaw_of
@@ -114,7 +115,7 @@ def _goal_points(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[tuple[fl
 
 
 def vlnce_episode(
-    meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float, text: EpisodeText
+    meta: EpisodeMeta, poses: NDArray[np.float64], floor_height_m: float, text: EpisodeText, origin: EpisodeOrigin
 ) -> dict[str, Any]:
     """Returns an entry of `episodes` without tokens, which need the vocabulary of all episodes.
 
@@ -123,12 +124,14 @@ def vlnce_episode(
         poses: (T, 7) poses of base_link in the REP 103 world frame.
         floor_height_m: height of the floor, metres; goals are on the floor, because a navigation mesh covers only it.
         text: instruction and its sub-instructions.
+        origin: what simulates the episode again; its number in the dataset is that of the entry.
     """
     job, rollout = meta.job, meta.rollout
+    number = int(origin.episode.removeprefix("ep_"))
     track = thin_track(poses[:, :3])
     return {
-        "episode_id": job.index,
-        "trajectory_id": job.index,
+        "episode_id": number,
+        "trajectory_id": number,
         "scene_id": scene_file(job.scene),
         "start_position": to_habitat(poses[0, :3].tolist()),
         "start_rotation": rotation_of(float(yaw_of(poses[:1])[0])),
@@ -140,7 +143,8 @@ def vlnce_episode(
         "instruction": {"instruction_text": text.instruction},
         "info": {
             "geodesic_distance": meta.route.geodesic_m,
-            "minivla_episode_id": meta.episode_id,
+            "minivla_episode_id": origin.episode,
+            "origin": origin.model_dump(mode="json"),
             "scene_sha256": job.scene_sha256,
             "split": str(job.split),
             "tier": str(job.tier),

@@ -21,6 +21,7 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.options import Options
+from factory.export.origin import origin_of
 from factory.export.output import Output
 from factory.export.vlnce.episode import (
     EpisodeText,
@@ -62,7 +63,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
-    version = 3
+    version = 4
     requires = ("trimesh",)
     assembles = True
     options = Options
@@ -73,7 +74,8 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
         job = episode.meta.job
         info = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
         text = EpisodeText(episode.instruction, episode.summary.template_id, episode.steps)
-        entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m, text)
+        origin = origin_of(episode)
+        entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m, text, origin)
         locations = [to_habitat(point) for point in episode.poses[:, :3].tolist()]
         (folder / PIECE_FILE).write_text(json.dumps({"entry": entry, "locations": locations}), encoding="utf-8")
         return EpisodeFacts(frames=len(episode))

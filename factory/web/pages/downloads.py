@@ -64,6 +64,7 @@ def _copy_bundle(episode: Episode, folder: Path) -> Path:
 def _make_film(episode: Episode, folder: Path) -> Path:
     root = episode.path.parents[1]
     with episode.path.open("rb") as file, EpisodeBundle(file, root, ranges=episode.ranges) as bundle:
+        bundle.name = episode.episode_id
         scene = bundle.package.geometry()
         stride, rate = film_rate(bundle.meta.job.task.control_hz)
         path = folder / f"{episode.episode_id}.mp4"

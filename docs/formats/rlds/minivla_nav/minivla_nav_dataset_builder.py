@@ -27,8 +27,8 @@ _FPS = int(os.environ["MINIVLA_FPS"]) if "MINIVLA_FPS" in os.environ else None
 class MinivlaNav(tfds.core.GeneratorBasedBuilder):
     """One RLDS episode for each archived episode, in the splits of the dataset."""
 
-    VERSION = tfds.core.Version("1.0.0")
-    RELEASE_NOTES = {"1.0.0": "Initial release."}  # noqa: RUF012 - required by tfds
+    VERSION = tfds.core.Version("1.1.0")
+    RELEASE_NOTES = {"1.0.0": "Initial release.", "1.1.0": "The metadata has `origin`."}  # noqa: RUF012 - required by tfds
 
     def _info(self) -> tfds.core.DatasetInfo:
         side = _IMAGE_PX
@@ -48,7 +48,8 @@ class MinivlaNav(tfds.core.GeneratorBasedBuilder):
             "is_terminal": tfds.features.Scalar(dtype=np.bool_),
             "language_instruction": tfds.features.Text(),
         }
-        names = ("episode_id", "split", "scene", "target_category", "target_id", "template_id", "states_digest")
+        names = ("episode_id", "split", "scene", "target_category", "target_id", "template_id")
+        names += ("states_digest", "origin")
         metadata = {name: tfds.features.Text() for name in names}
         features = {"steps": tfds.features.Dataset(steps), "episode_metadata": metadata}
         return self.dataset_info_from_configs(features=tfds.features.FeaturesDict(features))
