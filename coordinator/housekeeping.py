@@ -205,7 +205,7 @@ class Housekeeping:
                 f"{blind} of {attempts} attempts failed because the camera shows nothing: the start view is one flat "
                 "surface, or the expert never saw its target. Check `[camera]` (field of view in degrees, height and "
                 "pitch) and the scene with `factory scene render`, correct the plan, and start in a new folder; "
-                "archived episodes are kept, and the same command goes on with the plan as it is"
+                "archived episodes are kept, and the same command continues with the plan as it is"
             )
 
     def require_view(self) -> None:

@@ -39,7 +39,7 @@ DOORS = {
     "av": {"factory/export/video.py", "factory/visualize/film.py"},
     "matplotlib": {"factory/report/drawing/canvas.py"},
     "jinja2": {"factory/html/"},
-    "mcap": {"factory/export/mcap/exporter.py"},
+    "mcap": {"factory/export/mcap/exporter.py", "factory/export/origin.py"},
     "mcap_protobuf": {"factory/export/mcap/protobuf.py"},
     "google": {"factory/export/mcap/protobuf.py"},
     "trimesh": {"factory/export/vlnce/exporter.py", "factory/scenes/formats/meshes.py"},

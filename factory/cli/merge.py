@@ -12,7 +12,7 @@ from factory.cli.options import PLACE, json_option, write_option
 from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
-    from factory.runs.merge import MergeReport
+    from factory.merge.merge import MergeReport
     from schemas.storage.place import Place
 
 
@@ -35,7 +35,7 @@ def command(sources: tuple[Place, ...], out: Path, is_linked: bool, is_partial: 
     and `source_episode` of metadata.parquet name their origin. The result is verified and appears only when it is
     complete. After an interruption, the same command continues. The datasets are not changed.
     """
-    from factory.runs.merge import merge, open_parts
+    from factory.merge.merge import merge, open_parts
     from factory.support.logs import configure_logs
     from factory.support.terminal import one_bar, print_result
 

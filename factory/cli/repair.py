@@ -46,7 +46,7 @@ def command(
     """
     from coordinator.recovery.repair_dataset import repair
     from coordinator.validation.validator import Validator
-    from factory.runs.repair_joined import joined_meta, repair_joined
+    from factory.merge.repair_joined import joined_meta, repair_joined
     from factory.support.logs import configure_logs
     from factory.support.settings import scene_cache
     from factory.support.terminal import one_bar, print_building, print_result

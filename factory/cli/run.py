@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -28,12 +28,12 @@ from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from contextlib import AbstractContextManager
 
     from coordinator.service import Coordinator
     from factory.dataset.site import Site
-    from factory.runs.extend import Extension
+    from factory.merge.extend import Extension
     from factory.runs.gate_mode import GateMode
     from factory.runs.local import LocalRun
     from factory.runs.plan_changes import PlanChanges
@@ -124,28 +124,79 @@ def command(
     --out, or demo. After Ctrl-C, SIGTERM or a crash, the same command continues the run; finished episodes are
     kept. Exits with 1 if episodes are missing at the end.
     """
+    _begin_logs(verbose)
+    _check_options(engine, address, renderer, pages)
+    chosen = _choose(plan_name, site, changes, shard, ledger, packages, extends=extends)
+    if chosen is None:
+        click.echo(f"{site} has all requested episodes; nothing was run")
+        return 0
+    _note_plan(chosen.plan, is_chosen=plan_name is not None or not chosen.is_new)
+    _check_disk(chosen.plan, None if is_dry or shard is not None else chosen.site)
+    if is_dry:
+        return _print_dry(chosen.plan, chosen.site, as_json)
+    options = {"renderer": renderer, "verbose": verbose, "ledger_url": ledger}
+    return _execute(chosen, workers, gate_mode, shard, engine, address, options, pages, as_json=as_json)
+
+
+class _Chosen(NamedTuple):
+    """Plan and place of the run that the options choose."""
+
+    plan: Plan
+    is_new: bool
+    site: Site
+    packages: Place | None
+    extension: Extension | None
+
+
+def _choose(
+    plan_name: str | None,
+    site: Site,
+    changes: PlanChanges,
+    shard: RunShard | None,
+    ledger: str | None,
+    packages: Place | None,
+    *,
+    extends: bool,
+) -> _Chosen | None:
+    """Returns the run; `None` if an extension has nothing to add."""
+    from factory.runs.start import begin
+
+    if not extends:
+        plan, is_new = begin(plan_name, site, changes)
+        return _Chosen(plan, is_new, site, packages, None)
+    extension = _extension_of(plan_name, site, changes, shard, ledger)
+    if extension is None:
+        return None
+    return _Chosen(extension.added, False, extension.site, extension.root / SCENES, extension)
+
+
+def _execute(
+    chosen: _Chosen,
+    workers: int | None,
+    gate_mode: GateMode,
+    shard: RunShard | None,
+    engine: str,
+    address: str | None,
+    options: Mapping[str, Any],
+    pages: HttpOptions,
+    *,
+    as_json: bool,
+) -> int:
+    """Runs the plan, prints the result and returns the exit code.
+
+    Args:
+        options: fields of `LocalRun` that the command line sets as they are.
+    """
     from factory.runs.gate import measure_gate
     from factory.runs.local import LocalRun
     from factory.runs.ray_engine import open_cluster
     from factory.runs.shards import choose_shard, may_take_over
-    from factory.runs.start import begin, open_scenes
+    from factory.runs.start import open_scenes
     from factory.web.serving import run_pages
     from workers.client.stopping import stop_on_signals
 
-    _begin_logs(verbose)
-    _check_options(engine, address, renderer, pages)
-    extension = _extension_of(plan_name, site, changes, shard, ledger) if extends else None
-    if extends and extension is None:
-        return _say_complete(site)
-    if extension is None:
-        plan, is_new = begin(plan_name, site, changes)
-    else:
-        plan, is_new, packages = extension.added, False, extension.root / SCENES
-        site = extension.site
-    _note_plan(plan, is_chosen=plan_name is not None or not is_new)
-    _check_disk(plan, None if is_dry or shard is not None else site)
-    if is_dry:
-        return _print_dry(plan, site, as_json)
+    plan, is_new, site, packages, extension = chosen
+    ledger, renderer = options["ledger_url"], options["renderer"]
     shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
     gate_mode = "skip" if not is_new or (shard is not None and gate_mode == "auto") else gate_mode
     processes = workers or os.cpu_count() or 1
@@ -163,15 +214,13 @@ def command(
             catalog=catalog,
             root=site.state_dir,
             workers=processes,
-            renderer=renderer,
-            verbose=verbose,
             gate=gate,
             store=site.store,
-            ledger_url=ledger,
             shard=shard,
             take_over=shard is not None and may_take_over(site, stop),
             cluster=cluster,
             extends=None if extension is None else extension.root,
+            **options,
         )
         progress = _run(run, site, stop, lambda coordinator: run_pages(coordinator, site, pages, ledger))
     if extension is not None and progress.finished and not progress.missing:
@@ -182,23 +231,18 @@ def command(
 def _extension_of(
     plan_name: str | None, site: Site, changes: PlanChanges, shard: RunShard | None, ledger: str | None
 ) -> Extension | None:
-    from factory.runs.extend import plan_extension
+    from factory.merge.extend import plan_extension
 
     if shard is not None or ledger is not None:
         raise UsageError("--extend cannot be combined with --shard or --ledger")
     return plan_extension(plan_name, site, changes)
 
 
-def _say_complete(site: Site) -> int:
-    click.echo(f"{site} has all requested episodes; nothing was run")
-    return 0
-
-
 def _add(extension: Extension, as_json: bool) -> int:
     """Adds the episodes of a finished extension, prints the result and returns the exit code."""
     from datetime import UTC, datetime
 
-    from factory.runs.extend import add_extension
+    from factory.merge.extend import add_extension
     from factory.support.terminal import print_json
 
     meta = add_extension(extension, datetime.now(UTC))

@@ -58,7 +58,7 @@ class Found(NamedTuple):
     episode: str
     """Id of the episode."""
     text: str
-    """The origin as JSON; empty if it was not read, because another episode is wanted."""
+    """The origin as JSON; empty if it was not read, because another episode is requested."""
 
 
 def find_origin(export: Path, name: str) -> EpisodeOrigin:
@@ -70,7 +70,7 @@ def find_origin(export: Path, name: str) -> EpisodeOrigin:
         name: id of the episode, such as `ep_000001` or 1.
 
     Raises:
-        UsageError: the path is no export, states no origins, or has no such episode or several.
+        UsageError: the path is not an export, states no origins, or has no such episode or several.
         WorldError: a file is damaged.
     """
     if not export.exists():

@@ -114,7 +114,7 @@ class LocalRun:
     cluster: RayCluster | None = None
     """Cluster that runs the workers; `None` runs them on this machine."""
     extends: Path | None = None
-    """Dataset that the run extends; `None` for a run of its own."""
+    """Dataset that the run extends; `None` for a separate run."""
 
     @property
     def command(self) -> str:

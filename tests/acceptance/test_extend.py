@@ -10,7 +10,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
-from factory.runs.extend import plan_extension
+from factory.merge.extend import plan_extension
 from factory.runs.plan_changes import PlanChanges
 from tests.acceptance.factory_cli import Command, FactoryCli, episodes_in, kill_group, wait_for
 

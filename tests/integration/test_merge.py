@@ -13,7 +13,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.export.origin import find_origin
-from factory.runs.merge import merge, open_parts
+from factory.merge.merge import merge, open_parts
 from factory.verify.dataset import verify
 from schemas.dataset.meta import DATASET_FORMAT, read_dataset_meta
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError

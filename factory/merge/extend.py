@@ -1,4 +1,4 @@
-"""Extends a finished dataset: plans the additional episodes as a run of their own, and adds them when it is over.
+"""Extends a finished dataset: plans the additional episodes as a separate run, and adds them when it is over.
 
 The run has its directory inside the dataset until its episodes are added, so an interruption leaves the dataset as it
 was. Existing episodes keep their numbers and bytes. Simulates nothing.
@@ -26,7 +26,7 @@ from coordinator.expansion.plan_file import load_plan
 from coordinator.ledger.opening import plan_differences
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
-from factory.runs.merge import Part, add_episodes, add_scenes, write_joined
+from factory.merge.merge import MergedPart, add_episodes, add_scenes, write_joined
 from factory.runs.plan_changes import PlanChanges
 from factory.runs.start import shrunk_plan
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
@@ -129,9 +129,7 @@ def _begun(root: Path) -> Plan | None:
 def _require_only_episodes(changes: PlanChanges) -> None:
     given = [name for name, value in vars(changes).items() if value and name != "episodes"]
     if given:
-        raise UsageError(
-            f"--extend keeps the plan of the dataset, so leave out: {', '.join(f'--{one}' for one in given)}"
-        )
+        raise UsageError(f"--extend keeps the plan of the dataset, so omit: {', '.join(f'--{one}' for one in given)}")
 
 
 def _grown(plan: Plan, changes: PlanChanges) -> Plan:
@@ -235,8 +233,8 @@ def add_extension(extension: Extension, now: datetime) -> DatasetMeta:
         WorldError: the disk is full, or another process uses the dataset; existing episodes are unchanged.
     """
     root = extension.root
-    base = Part(_BASE, Dataset(root), 0)
-    added = Part(f"extension-{len(base.sources)}", Dataset(extension.site.place), extension.base.planned)
+    base = MergedPart(_BASE, Dataset(root), 0)
+    added = MergedPart(f"extension-{len(base.sources)}", Dataset(extension.site.place), extension.base.planned)
     sources = [*base.sources, *(each.model_copy(update={"extends": True}) for each in added.sources)]
     with open_archive(root) as archive:
         add_scenes(archive, added.dataset)

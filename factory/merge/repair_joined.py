@@ -23,8 +23,8 @@ from coordinator.tables.table_reader import read_failed_attempts
 from coordinator.transfer.contract import EpisodeValidator
 from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
+from factory.merge.merge import JoinedRows, write_tables_of
 from factory.runs.catalog import with_light
-from factory.runs.merge import JoinedRows, write_tables_of
 from schemas.bundle import BundleReader
 from schemas.dataset.meta import DatasetMeta, read_dataset_meta
 from schemas.dataset.rows import EpisodeSummary, renumbered, summary_of
@@ -184,7 +184,7 @@ def _sha256(path: FilePlace) -> str | None:
 def _adopted(
     path: FilePlace, index: int, jobs: _Jobs, catalog: Catalog, checker: EpisodeValidator
 ) -> EpisodeSummary | str:
-    """Returns the row of a file that the tables do not describe, or the reason why it is no episode of its source."""
+    """Returns the row of a file that the tables do not list, or the reason why it is not an episode of its source."""
     try:
         with local_copy(path) as local:
             with local.open("rb") as file, BundleReader(file) as bundle:

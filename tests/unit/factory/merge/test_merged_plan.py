@@ -12,8 +12,8 @@ from coordinator.expansion.cells import cells, marginal, planned_cells
 from coordinator.expansion.plan_file import load_plan, shrink
 from coordinator.expansion.scene_cells import scene_cells
 from factory.dataset.site import site_of
-from factory.runs.extend import plan_extension
-from factory.runs.merged_plan import merged_plan
+from factory.merge.extend import plan_extension
+from factory.merge.merged_plan import merged_plan
 from factory.runs.plan_changes import PlanChanges
 from schemas.dataset.meta import DatasetMeta
 from schemas.errors import InvalidPlan, UsageError
@@ -133,7 +133,7 @@ def test_an_extension_by_a_changed_plan_names_the_changed_keys(tmp_path: Path) -
         plan_extension("demo", site_of(root), PlanChanges(episodes=12, expert=ExpertName.PLANNER))
     with pytest.raises(UsageError, match="removes no"):
         plan_extension("demo", site_of(root), PlanChanges(episodes=4))
-    with pytest.raises(UsageError, match="leave out: --seed"):
+    with pytest.raises(UsageError, match="omit: --seed"):
         plan_extension(None, site_of(root), PlanChanges(episodes=12, seed=3))
     with pytest.raises(UsageError, match="needs the new number of episodes"):
         plan_extension(None, site_of(root), PlanChanges())

@@ -32,9 +32,9 @@ from coordinator.tables.write import DatasetTables, TableContent
 from factory.dataset.packages import find_package_file
 from factory.dataset.reader import Dataset
 from factory.dataset.site import Site
+from factory.merge.merged_plan import merged_plan
 from factory.runs.catalog import write_target_lists
 from factory.runs.ledger import require_outside_datasets
-from factory.runs.merged_plan import merged_plan
 from factory.support.text import format_bytes
 from factory.verify.dataset import verify
 from schemas.base import Model
@@ -60,7 +60,7 @@ _ORDER_FILE = ".merge.json"
 
 
 @dataclass(frozen=True)
-class Part:
+class MergedPart:
     """Dataset that becomes part of another one."""
 
     name: str
@@ -127,7 +127,7 @@ class MergeReport(Model):
     """Digest of the dataset; null if an episode is missing."""
 
 
-def open_parts(places: Sequence[Place], *, is_partial: bool) -> tuple[Part, ...]:
+def open_parts(places: Sequence[Place], *, is_partial: bool) -> tuple[MergedPart, ...]:
     """Opens the datasets to merge, in order, and checks that they can become one dataset.
 
     Args:
@@ -142,13 +142,13 @@ def open_parts(places: Sequence[Place], *, is_partial: bool) -> tuple[Part, ...]
     if len(places) < 2:
         raise UsageError("give at least two datasets to merge")
     _require_different(places)
-    parts: list[Part] = []
+    parts: list[MergedPart] = []
     for place in places:
         dataset = Dataset(place)
         _require_mergeable(place, dataset.meta, is_partial)
         names = {part.name for part in parts}
         name = next(name for name in _names_of(place) if name not in names)
-        parts.append(Part(name, dataset, sum(part.dataset.meta.planned for part in parts)))
+        parts.append(MergedPart(name, dataset, sum(part.dataset.meta.planned for part in parts)))
     if sum(part.dataset.meta.planned for part in parts) > MAX_EPISODES:
         raise UsageError(f"the datasets have more than {MAX_EPISODES} planned episodes: merge fewer of them")
     _require_equal_scenes(parts)
@@ -196,7 +196,7 @@ def _require_mergeable(place: Place, meta: DatasetMeta, is_partial: bool) -> Non
         )
 
 
-def _require_equal_scenes(parts: Sequence[Part]) -> None:
+def _require_equal_scenes(parts: Sequence[MergedPart]) -> None:
     packages: dict[str, tuple[str, str]] = {}
     for part in parts:
         for scene, sha256 in part.dataset.meta.scenes.items():
@@ -210,8 +210,8 @@ def _require_equal_scenes(parts: Sequence[Part]) -> None:
                 )
 
 
-def _require_no_duplicates(parts: Sequence[Part]) -> None:
-    owners: dict[str, tuple[Part, str]] = {}
+def _require_no_duplicates(parts: Sequence[MergedPart]) -> None:
+    owners: dict[str, tuple[MergedPart, str]] = {}
     for part in parts:
         names, digests = (part.dataset.column(name).to_pylist() for name in ("episode_id", "content_digest"))
         twice = [(name, owners[digest]) for name, digest in zip(names, digests, strict=True) if digest in owners]
@@ -228,7 +228,7 @@ def _require_no_duplicates(parts: Sequence[Part]) -> None:
 
 
 def merge(
-    parts: Sequence[Part],
+    parts: Sequence[MergedPart],
     out: Path,
     now: datetime,
     *,
@@ -294,7 +294,7 @@ def add_scenes(archive: Archive, dataset: Dataset) -> None:
     write_target_lists(catalog, archive.root)
 
 
-def add_episodes(archive: Archive, part: Part, is_linked: bool = False) -> Iterator[int]:
+def add_episodes(archive: Archive, part: MergedPart, is_linked: bool = False) -> Iterator[int]:
     """Stores the episodes of a dataset under their new numbers, and yields the number of each.
 
     An equal file that an interrupted call has stored is kept; another file with that number is replaced.
@@ -344,7 +344,7 @@ def _add_episode(archive: Archive, row: EpisodeSummary, source: FilePlace, is_li
 class _RowsInOrder:
     """Rows of several datasets, read once in the order of their numbers, as the table writer requests them."""
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    def __init__(self, parts: Sequence[MergedPart]) -> None:
         self._rows = (row for part in parts for row in part.rows())
         self._next = next(self._rows, None)
 
@@ -357,7 +357,7 @@ class _RowsInOrder:
 
 
 def write_joined(
-    archive: Archive, parts: Sequence[Part], *, plan: Plan, sources: Sequence[DatasetSource], now: datetime
+    archive: Archive, parts: Sequence[MergedPart], *, plan: Plan, sources: Sequence[DatasetSource], now: datetime
 ) -> DatasetMeta:
     """Writes the tables of a dataset with sources, and packs its episodes if it is large.
 
@@ -441,7 +441,7 @@ def _sides(
     return sides, shared
 
 
-def _keep_matching(work: Path, parts: Sequence[Part]) -> None:
+def _keep_matching(work: Path, parts: Sequence[MergedPart]) -> None:
     """Deletes what another merge has left in the hidden folder; keeps the episodes of an interrupted equal one."""
     order = json.dumps([[str(part.dataset.root), part.dataset.digest] for part in parts])
     path = work / _ORDER_FILE

@@ -1,0 +1,1 @@
+"""Merges datasets, extends a finished dataset, and repairs datasets with several sources."""
