@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 @click.option("--partial", "is_partial", is_flag=True, help="Also merge datasets that lack planned episodes.")
 @json_option
 def command(sources: tuple[Place, ...], out: Path, is_linked: bool, is_partial: bool, as_json: bool) -> None:
-    """Merge datasets into a new one.
+    """Merge datasets, also of different plans, into a new one.
 
-    The datasets may have different plans, but must store the same kind of episode (frames or states) with the same
+    The datasets must store the same kind of episode (frames or states) with the same
     task, robot, camera, rig and appearance. Episodes keep their bytes and get consecutive numbers; the columns `source`
     and `source_episode` of metadata.parquet name their origin. The result is verified and appears only when it is
     complete. After an interruption, the same command continues. The datasets are not changed.

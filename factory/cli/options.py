@@ -130,6 +130,9 @@ def _dataset_of(context: click.Context) -> Path | None:
         folder = getattr(given, "state_dir", given)
         if isinstance(folder, str | Path) and Path(folder).is_dir():
             return Path(folder)
+    names = context.params.get("names") or ()  # of `replay`, whose first argument is a dataset or an episode
+    if names and Path(names[0]).is_dir():
+        return Path(names[0])
     # click parses no argument of a line that ends with an option without its value; the shell passes the whole line
     words = shlex.split(os.environ.get("COMP_WORDS", "").replace("'", "").replace('"', ""))
     return next((Path(word) for word in words if (Path(word) / EPISODES).is_dir()), None)

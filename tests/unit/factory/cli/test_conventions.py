@@ -48,6 +48,7 @@ DIFFERENT = {
     ("factory bench collect", "--record"): "compares both recordings",
     ("factory render", "--rig"): "renders several rigs",
     ("factory run", "--scenes"): "names a folder of packages",
+    ("factory replay", "--scenes"): "names a folder of packages",
     ("factory relabel", "--language"): "takes a file; `factory stats` has a flag of this name",
     ("factory keys host", "--address"): "lists the addresses of one host",
     ("factory repair", "--plan"): "is an option, because the argument is the dataset",

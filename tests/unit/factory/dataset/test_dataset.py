@@ -204,7 +204,7 @@ def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
 def test_the_error_of_a_newer_dataset_names_its_format(own: Path) -> None:
     path = own / "dataset_meta.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 9}))
-    with pytest.raises(WorldError, match="dataset format 9, this software reads up to 2: upgrade"):
+    with pytest.raises(WorldError, match="dataset format 9, this software reads up to 3: upgrade"):
         Dataset(own)
 
 

@@ -22,11 +22,13 @@ from factory.export.vlnce.episode import (
     vocabulary_of,
     words_of,
 )
+from schemas.dataset.origin import EpisodeOrigin
 from schemas.support.geometry import footprint_distances
 from schemas.terms import SuccessMeasure
 from tests.builders.bundle import GOAL_M, RADIUS_M, parts_for, short_task
 
 SAID = EpisodeText("Go to the chair.", "train_01")
+ORIGIN = EpisodeOrigin(episode="ep_000001", version="unknown", states_digest="0" * 32, job=parts_for().sealed().job)
 
 COORDINATES = st.floats(-1e3, 1e3, allow_nan=False).map(lambda value: value + 0.0)
 
@@ -81,11 +83,12 @@ def test_words_are_encoded_and_decoded():
 
 def test_an_entry_has_the_fields_that_habitat_requires():
     parts = parts_for()
-    entry = json.loads(json.dumps(vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0, SAID)))
+    entry = json.loads(json.dumps(vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0, SAID, ORIGIN)))
     assert entry["goals"] == [{"position": [GOAL_M[0], 0.0, 0.0], "radius": RADIUS_M}]
     assert entry["start_position"] == [0.0, 0.0, 0.0]
     assert entry["scene_id"] == "minivla/office/office.glb"
     assert entry["instruction"]["instruction_text"] == SAID.instruction
+    assert EpisodeOrigin.model_validate(entry["info"]["origin"]) == ORIGIN
     assert {"episode_id", "trajectory_id", "start_rotation", "reference_path", "info"} <= entry.keys()
     end = [float(value) for value in parts.arrays.poses[-1, :3]]
     assert from_habitat(entry["reference_path"][-1]) == pytest.approx(end)
@@ -95,7 +98,7 @@ def test_goals_by_surface_are_points_of_the_footprint_with_the_nearest_first():
     square = ((1.0, -0.5), (2.0, -0.5), (2.0, 0.5), (1.0, 0.5))
     task = short_task().model_copy(update={"success": SuccessMeasure.SURFACE})
     parts = parts_for().with_meta(target_footprint_m=square).with_job(task=task)
-    goals = vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0, SAID)["goals"]
+    goals = vlnce_episode(parts.sealed(), parts.arrays.poses, 0.0, SAID, ORIGIN)["goals"]
     points = np.array([from_habitat(goal["position"])[:2] for goal in goals])
     assert len(points) == 16
     assert points[0].tolist() == [1.0, 0.0]
