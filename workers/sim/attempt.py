@@ -151,15 +151,15 @@ def _drive_and_seal(
         if rollout.steps_visible == 0 and not job.is_false_premise:
             return AttemptFailure(FailReason.NO_VIEW, f"the target was never in view; {rollout.end}", len(poses))
         return AttemptFailure(FailReason(rollout.end_reason), rollout.end, len(poses))
-    first = context.renderer.render_depth_and_ids(Pose.of(poses[0]))
-    if shows_nothing(first.depth, first.ids):
-        detail = f"the view from {_pose_text(start)} is one flat surface"
-        return AttemptFailure(FailReason.NO_VIEW, detail, len(poses))
     # frames are rendered after the success only, because those of a failed attempt would be discarded
     writer, shown = BundleWriter(attempt.out, context.timer), None
     if job.record is Recording.STATES:
-        add_sampled_digests(writer, context.renderer, job, poses)
+        if add_sampled_digests(writer, context.renderer, job, poses):
+            return _nothing_seen(start, len(poses))
     else:
+        view = context.renderer.render_depth_and_ids(Pose.of(poses[0]))
+        if shows_nothing(view.depth, view.ids):
+            return _nothing_seen(start, len(poses))
         tell = partial(attempt.on_step, len(poses))
         shown = show_appearance(job, job.view.appearance, scene=scene, renderer=context.renderer, poses=poses)
         visible = add_frames(
@@ -187,6 +187,10 @@ def _drive_and_seal(
     sealed = writer.finish(rollout.arrays, meta)
     context.timer("bundle")
     return Success(sealed)
+
+
+def _nothing_seen(start: Pose, steps: int) -> AttemptFailure:
+    return AttemptFailure(FailReason.NO_VIEW, f"the view from {_pose_text(start)} is one flat surface", steps)
 
 
 def describe_episode(

@@ -16,7 +16,7 @@ from schemas.appearance import CameraChange
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleWriter, EpisodeArrays
 from schemas.errors import WorldError
 from schemas.job import Job, episode_id
-from schemas.measure import target_in_view
+from schemas.measure import shows_nothing, target_in_view
 from schemas.rig import Camera, Imu, Rig, Sensor, WheelOdometry
 from schemas.rig.arrays import arrays_of, is_of_motion, measured_steps
 from schemas.rig.measurements import encode_array, measurements_of
@@ -55,8 +55,8 @@ def add_frames(
     return visible
 
 
-def add_sampled_digests(writer: BundleWriter, renderer: Renderer, job: Job, poses: NDArray[np.float64]) -> None:
-    """Renders the sampled frames of a states recording and adds their digests.
+def add_sampled_digests(writer: BundleWriter, renderer: Renderer, job: Job, poses: NDArray[np.float64]) -> bool:
+    """Renders the sampled frames of a states recording and adds their digests; returns whether the first is blank.
 
     Args:
         writer: bundle without frames.
@@ -64,9 +64,12 @@ def add_sampled_digests(writer: BundleWriter, renderer: Renderer, job: Job, pose
         job: job, with the sampled steps.
         poses: (T, 7) poses of base_link: x, y, z, qw, qx, qy, qz.
     """
+    is_blank = False
     for t in job.sampled_steps(len(poses)):
         frame = renderer.render(Pose.of(poses[t]))
+        is_blank |= t == 0 and shows_nothing(frame.depth, frame.ids)
         writer.add_digest(frame.rgb, frame.depth, frame.ids)
+    return is_blank
 
 
 _EXCESS = 1.1

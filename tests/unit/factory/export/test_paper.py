@@ -25,7 +25,7 @@ def test_the_tree_has_the_content_of_the_bundles(varied: Path, tmp_path: Path) -
     for episode in Dataset(varied):
         folder = out / "episodes" / episode.episode_id
         expected = {f"{kind}/{t:06d}.{end}" for kind, end in KINDS for t in range(len(episode))}
-        expected |= {"actions_continuous.npy", "actions_tokens.npy", "poses.npy", "meta.json"}
+        expected |= {"actions_continuous.npy", "actions_tokens.npy", "poses.npy", "meta.json", "origin.json"}
         assert {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} == expected
         assert json.loads((folder / "meta.json").read_text()) == without_time_and_worker(episode)
         digests = [frame_digest(*frame(folder, t)) for t in range(len(episode))]
