@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -72,40 +71,3 @@ def world_points(placement: PropPlacement) -> tuple[Floats, ...]:
     turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
     place = np.array([placement.x, placement.y, placement.z])
     return tuple(piece.mesh.points @ turn + place for piece in placement.model.pieces)
-
-
-class Solid(NamedTuple):
-    """Upright box around a piece: its corners in the frame of its prop, and the pose of the prop."""
-
-    low: Floats
-    high: Floats
-    placement: PropPlacement
-
-
-def penetration(one: Solid, two: Solid) -> float:
-    """Returns the depth by which two upright boxes intersect, metres; 0 or less if they do not intersect.
-
-    The depth is the smallest of the overlaps along the height and along the horizontal sides of both boxes."""
-    z = min(one.high[2] + one.placement.z, two.high[2] + two.placement.z) - max(
-        one.low[2] + one.placement.z, two.low[2] + two.placement.z
-    )
-    return min(float(z), *(_overlap(a, b) for a, b in ((one, two), (two, one))))
-
-
-def _overlap(frame: Solid, other: Solid) -> float:
-    """Returns the smaller of the overlaps along the two horizontal sides of the first box, metres."""
-    corners = _in_frame(frame.placement, _corners(other))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    return float(np.min(np.minimum(frame.high[:2], high) - np.maximum(frame.low[:2], low)))
-
-
-def _corners(solid: Solid) -> Floats:
-    (x0, y0), (x1, y1) = solid.low[:2], solid.high[:2]
-    cos, sin = np.cos(solid.placement.yaw), np.sin(solid.placement.yaw)
-    own = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-    return own @ np.array([[cos, sin], [-sin, cos]]) + (solid.placement.x, solid.placement.y)
-
-
-def _in_frame(placement: PropPlacement, points: Floats) -> Floats:
-    cos, sin = np.cos(placement.yaw), np.sin(placement.yaw)
-    return np.asarray((points - (placement.x, placement.y)) @ np.array([[cos, -sin], [sin, cos]]))

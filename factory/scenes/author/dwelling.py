@@ -260,4 +260,5 @@ def rug(plan: FloorPlan, area: Rectangle, name: str) -> None:
     """Adds a rug that shows its whole pattern, 3 mm high, so it is not an obstacle."""
     cover = SurfaceMaterial(name, "#a08a70", name, roughness=0.95)
     low, high = (area.x0, area.y0, 0.0), (area.x1, area.y1, 0.003)
+    plan.covered.append(area)
     plan.build("SM_Rug", PropPiece(cover, open_block(low, high, "T", fitted=True)))

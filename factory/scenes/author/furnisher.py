@@ -43,7 +43,7 @@ def workplace(furnisher: Furnisher, desk: PropPlacement | None, chair: int, is_s
     if is_second and rng.random() < 0.3:
         for shift in (-0.3, 0.3):
             furnisher.on_top(
-                "SM_Monitor_A", screen, below=desk, height=DESK_TOP_M, along=shift, back=0.1, turn=-0.7 * shift
+                "SM_Monitor_A", screen, below=desk, height=DESK_TOP_M, along=1.08 * shift, back=0.1, turn=-0.7 * shift
             )
     else:
         furnisher.on_top(
@@ -95,8 +95,7 @@ def round_table(
     reach = float(table.model.high[0]) + 0.2
     for number in range(count):
         turn = first + 2 * math.pi * number / count
-        x, y = centre[0] + reach * math.cos(turn), centre[1] + reach * math.sin(turn)
-        furnisher.plan.seat(furnisher.model(kind, look), x, y=y, yaw=turn - math.pi / 2, room=furnisher.area, of=table)
+        furnisher.facing(table, kind, look, turn=turn, reach=reach)
     return table
 
 
@@ -240,9 +239,9 @@ class Furnisher:
         for side in sides or self.sides():
             for share in (float(self.rng.uniform(0.3, 0.7)), *self.rng.uniform(0.0, 1.0, 5).tolist(), 0.0, 1.0):
                 x, y, yaw = wall_pose(model, self.area, side=side, along=share, gap=gap)
-                placed = (
-                    None if self.plan.meets(model, x, y, yaw) else self.plan.place(model, x, y, yaw, None, clearance)
-                )
+                if self.plan.meets(model, x, y, yaw) or self.plan.hides(model, x, y, yaw):
+                    continue
+                placed = self.plan.place(model, x, y, yaw, None, clearance)
                 if placed is not None:
                     return placed
         return None
@@ -261,7 +260,10 @@ class Furnisher:
         back: float = 0.0,
         turn: float = 0.0,
     ) -> None:
-        """Places a small object on furniture, `along` and `back` metres from its centre, turned by `turn` radians."""
+        """Places a small object on furniture, `along` and `back` metres from its centre, turned by `turn` radians.
+
+        It is omitted where a curtain, a screen or another thing is in the way.
+        """
         self._lay(self.model(name, variant), below, height=height, along=along, back=back, turn=turn)
 
     def _lay(
@@ -275,7 +277,8 @@ class Furnisher:
     ) -> None:
         c, s = math.cos(below.yaw), math.sin(below.yaw)
         x, y = below.x + c * along - s * back, below.y + s * along + c * back
-        self.plan.add(model, x, y, below.yaw + turn, height)
+        if not self.plan.intersects(model, x, y, below.yaw + turn, z=height, but=below):
+            self.plan.add(model, x, y, below.yaw + turn, height)
 
     def dress(
         self, piece: PropPlacement | None, names: Sequence[str], most: int = 2, top_m: float | None = None
@@ -298,10 +301,10 @@ class Furnisher:
                 self._lay(model, piece, float(piece.model.high[2]) if top_m is None else top_m, along)
 
     def carpet(self, centre: tuple[float, float], width: float, depth: float, design: int = 0) -> None:
-        """Lays a rug if the room has enough floor; `design` is its number in the palette."""
+        """Lays a rug if the room has enough floor without rugs; `design` is its number in the palette."""
         (x, y), rugs = centre, self.palette.rugs
         area = Rectangle(x - width / 2, y - depth / 2, x + width / 2, y + depth / 2)
-        if self.area.contains(area):
+        if self.area.contains(area) and not any(area.overlaps(other) for other in self.plan.covered):
             rug(self.plan, area, rugs[design % len(rugs)])
 
     def beside(
@@ -322,6 +325,11 @@ class Furnisher:
         c, s = math.cos(of.yaw), math.sin(of.yaw)
         x, y = of.x + c * along + s * reach, of.y + s * along - c * reach
         return self.plan.seat(self.model(name, variant), x, y=y, yaw=of.yaw + math.pi + turn, room=self.area, of=of)
+
+    def facing(self, table: PropPlacement, name: str, variant: int | None, turn: float, reach: float) -> None:
+        """Places a seat that faces a table, `reach` metres from its centre in the direction `turn`, radians."""
+        x, y = table.x + reach * math.cos(turn), table.y + reach * math.sin(turn)
+        self.plan.seat(self.model(name, variant), x, y=y, yaw=turn - math.pi / 2, room=self.area, of=table)
 
     def corner(self, name: str, variant: int | None = None, clearance: float = 0.35) -> PropPlacement | None:
         """Places a piece in a free corner."""

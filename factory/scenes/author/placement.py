@@ -7,18 +7,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
 from numpy.random import Generator
 
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.props.catalogue import PropBuilder, PropModel
+from schemas.support.numpy_types import Floats
 
 FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
 """Wall -> yaw of a prop with its back to that wall, radians. At yaw 0 a prop faces -y, with its back to the north."""
 
+MOST_INTO_M = 0.01
+"""Permitted depth by which a part of a seat reaches into a part of its table, metres."""
+_MOST_ASIDE_M = 0.02
+"""Permitted depth by which a thing on furniture reaches into another prop, such as the frame of a window, metres."""
+_STEP_BACK_M, _MOST_BACK_M = 0.02, 0.16
+"""A seat that would reach into its table stands this far behind its place, in steps, metres."""
+_VIEW_M = 0.5
+"""Depth of the space before a window, board, screen or picture that furniture should leave free, metres."""
+_FLOOR_M, _LOW_M = 0.002, 0.07
+"""A standing prop whose lowest point is between these heights is moved down to the floor, metres."""
+_MOST_HIDDEN = 0.15
+"""Largest share of its front that furniture may hide."""
+_LOOKED_AT = (
+    "SM_Window", "SM_Whiteboard", "SM_Television", "SM_Picture", "SM_Poster", "SM_WallMap", "SM_PinBoard",
+    "SM_Tapestry", "SM_Mirror", "SM_ClockWall",
+)  # fmt: skip
 SMALL_HALF_WIDTH_M = 0.3
 SMALL_STANDOFF_M = 0.30
 """Distance of the centre of small props from a wall, metres, so the robot can drive along the wall."""
@@ -54,6 +72,17 @@ class Rectangle(NamedTuple):
     def overlaps(self, other: Rectangle) -> bool:
         """Returns whether the interiors intersect."""
         return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
+
+    def without(self, other: Rectangle) -> list[Rectangle]:
+        """Returns up to four rectangles that cover this rectangle except for the other."""
+        if not self.overlaps(other):
+            return [self]
+        y0, y1 = max(self.y0, other.y0), min(self.y1, other.y1)
+        parts = (
+            self._replace(y1=y0), self._replace(y0=y1),
+            Rectangle(self.x0, y0, other.x0, y1), Rectangle(other.x1, y0, self.x1, y1),
+        )  # fmt: skip
+        return [part for part in parts if part.width > 1e-6 and part.depth > 1e-6]
 
     def contains(self, other: Rectangle) -> bool:
         """Returns whether the other rectangle is inside, with a tolerance of a millimetre."""
@@ -96,6 +125,46 @@ class PropPlacement:
         return float(self.model.low[2]) + self.z, float(self.model.high[2]) + self.z
 
 
+class Solid(NamedTuple):
+    """Upright box around a piece: its corners in the frame of its prop, and the pose of the prop."""
+
+    low: Floats
+    high: Floats
+    placement: PropPlacement
+
+
+def solids(placement: PropPlacement) -> list[Solid]:
+    """Returns the boxes of the pieces of a prop."""
+    meshes = [piece.mesh.points for piece in placement.model.pieces]
+    return [Solid(points.min(axis=0), points.max(axis=0), placement) for points in meshes]
+
+
+def penetration(one: Solid, two: Solid) -> float:
+    """Returns the depth by which two upright boxes intersect, metres; 0 or less if they do not intersect.
+
+    The depth is the smallest of the overlaps along the height and along the horizontal sides of both boxes.
+    """
+    z = min(one.high[2] + one.placement.z, two.high[2] + two.placement.z) - max(
+        one.low[2] + one.placement.z, two.low[2] + two.placement.z
+    )
+    return float(z) if z <= 0.0 else min(float(z), *(_overlap(a, b) for a, b in ((one, two), (two, one))))
+
+
+def _overlap(frame: Solid, other: Solid) -> float:
+    """Returns the smaller of the overlaps along the two horizontal sides of the first box, metres."""
+    (x0, y0), (x1, y1) = other.low[:2], other.high[:2]
+    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) @ _turn(other.placement.yaw)
+    place = (other.placement.x - frame.placement.x, other.placement.y - frame.placement.y)
+    corners = (corners + place) @ _turn(-frame.placement.yaw)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return float(np.min(np.minimum(frame.high[:2], high) - np.maximum(frame.low[:2], low)))
+
+
+def _turn(yaw: float) -> Floats:
+    """Returns the (2, 2) matrix that turns row vectors by `yaw` radians, counter-clockwise."""
+    return np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+
+
 class RoomRecord(NamedTuple):
     """Room of a layout, for statistics: use, floor between the wall faces, numbers of the rooms behind its doors."""
 
@@ -116,6 +185,8 @@ class FloorPlan:
     taken: list[Rectangle] = field(default_factory=list)
     kept_clear: list[Rectangle] = field(default_factory=list)
     rooms: list[RoomRecord] = field(default_factory=list)
+    covered: list[Rectangle] = field(default_factory=list)
+    """Floor under rugs and markings, so no two of them share a plane."""
 
     def __post_init__(self) -> None:
         self.props = PropBuilder(self.seed)
@@ -175,11 +246,21 @@ class FloorPlan:
     def seat(
         self, model: PropModel, x: float, y: float, yaw: float, room: Rectangle, of: PropPlacement
     ) -> PropPlacement | None:
-        """Places a seat, which may touch only the piece of furniture `of`; returns `None` if it does not fit."""
-        print_ = footprint(model, x, y, yaw)
-        if any(print_.overlaps(other) for other in self.taken if other != of.floor_box):
-            return None
-        return self.place(model, x, y, yaw, room, 0.0, True)
+        """Places a seat, which may touch only the piece of furniture `of`; returns `None` if it does not fit.
+
+        A seat whose legs or arm rests would reach into parts of the furniture stands a little behind its place.
+        """
+        back = 0.0
+        while back <= _MOST_BACK_M:
+            at = (x - back * math.sin(yaw), y + back * math.cos(yaw))
+            seat = solids(PropPlacement("", model, x=at[0], y=at[1], z=0.0, yaw=yaw))
+            if all(penetration(part, other) <= MOST_INTO_M for part in seat for other in solids(of)):
+                print_ = footprint(model, *at, yaw)
+                if any(print_.overlaps(other) for other in self.taken if other != of.floor_box):
+                    return None
+                return self.place(model, *at, yaw, room, 0.0, True)
+            back += _STEP_BACK_M
+        return None
 
     def stand(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement:
         """Places a model on the floor without a collision test, and marks its footprint as occupied."""
@@ -224,7 +305,8 @@ class FloorPlan:
         for _ in range(tries):
             side = sides[self.pick(len(sides))]
             along = float(self.rng.uniform(0.04, 0.96))
-            if avoid and self.meets(model, *wall_pose(model, room, side=side, along=along, gap=0.03), 0.0):
+            pose = wall_pose(model, room, side=side, along=along, gap=0.03)
+            if avoid and (self.meets(model, *pose, 0.0) or self.hides(model, *pose)):
                 continue
             placed = self.against(model, room, side=side, along=along, clearance=clearance)
             if placed:
@@ -242,7 +324,7 @@ class FloorPlan:
 
     def hang_at(self, model: PropModel, x: float, y: float, yaw: float) -> PropPlacement | None:
         """Mounts a model at a pose, or returns None if it meets another model."""
-        return None if self.meets(model, x, y, yaw) else self.add(model, x, y, yaw)
+        return None if self.meets(model, x, y, yaw) or self.hides(model, x, y, yaw) else self.add(model, x, y, yaw)
 
     def is_free_strip(self, room: Rectangle, side: str, start: float, length: float, depth: float) -> bool:
         """Returns whether a strip of floor along a wall, `depth` metres deep, is free from `start` on."""
@@ -264,6 +346,22 @@ class FloorPlan:
                     return True
         return False
 
+    def intersects(self, model: PropModel, x: float, y: float, yaw: float, z: float, but: PropPlacement) -> bool:
+        """Returns whether a model at a pose would reach into a placed prop other than `but`, by its boxes."""
+        new = PropPlacement("", model, x=x, y=y, z=z, yaw=yaw)
+        near = (other for other in self.placements if other is not but and other.floor_box.overlaps(new.floor_box))
+        return any(penetration(a, b) > _MOST_ASIDE_M for other in near for a in solids(new) for b in solids(other))
+
+    def hides(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
+        """Returns whether a model at a pose would hide a window, board, screen or picture, or is one and hidden."""
+        new = PropPlacement("", model, x=x, y=y, z=0.0, yaw=yaw)
+        seen = model.name.startswith(_LOOKED_AT)
+        return any(
+            (other.model.name.startswith(_LOOKED_AT) and hidden_share(other, new) > _MOST_HIDDEN)
+            or (seen and hidden_share(new, other) > _MOST_HIDDEN)
+            for other in self.placements
+        )
+
     def in_corner(
         self, model: PropModel, room: Rectangle, corner: int, clearance: float = 0.1, avoid: bool = False
     ) -> PropPlacement | None:
@@ -271,7 +369,7 @@ class FloorPlan:
         reach = float(max(model.high[0], -model.low[0], model.high[1], -model.low[1], 0.3)) + 0.04
         x = room.x1 - reach if corner & 1 else room.x0 + reach
         y = room.y1 - reach if corner & 2 else room.y0 + reach
-        if avoid and self.meets(model, x, y=y, yaw=0.0, margin=0.0):
+        if avoid and (self.meets(model, x, y=y, yaw=0.0, margin=0.0) or self.hides(model, x, y, 0.0)):
             return None
         return self.place(model, x, y, 0.0, None, clearance)
 
@@ -312,6 +410,45 @@ def footprint(model: PropModel, x: float, y: float, yaw: float) -> Rectangle:
     xs = [x + c * a - s * b for a, b in corners]
     ys = [y + s * a + c * b for a, b in corners]
     return Rectangle(min(xs), min(ys), max(xs), max(ys))
+
+
+def hidden_share(wall_object: PropPlacement, by: PropPlacement) -> float:
+    """Returns the share of the front of an object at a wall that another prop hides within `_VIEW_M` metres, 0..1."""
+    left, front, right = (
+        float(wall_object.model.low[0]),
+        float(wall_object.model.low[1]),
+        float(wall_object.model.high[0]),
+    )
+    at = (by.x - wall_object.x, by.y - wall_object.y)
+    (x0, y0), (x1, y1) = by.model.low[:2].tolist(), by.model.high[:2].tolist()
+    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) @ _turn(by.yaw) + at
+    corners = corners @ _turn(-wall_object.yaw)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if low[1] >= front or high[1] <= front - _VIEW_M:
+        return 0.0
+    (bottom, top), (low_z, high_z) = wall_object.heights, by.heights
+    across, up = min(right, high[0]) - max(left, low[0]), min(top, high_z) - max(bottom, low_z)
+    return max(float(across), 0.0) / (right - left) * max(up, 0.0) / (top - bottom)
+
+
+def settled(plan: FloorPlan) -> list[PropPlacement]:
+    """Returns the placements, with standing props and what lies on them moved down so that they touch the floor."""
+    drops = {
+        number: gap
+        for number, piece in enumerate(plan.placements)
+        if piece.z == 0.0 and _FLOOR_M < (gap := float(piece.model.low[2])) < _LOW_M
+    }
+    moved = []
+    for number, piece in enumerate(plan.placements):
+        carriers = (drops[k] for k in drops if piece.z > 0.0 and _is_on(piece, plan.placements[k]))
+        drop = drops.get(number) or next(carriers, 0.0)
+        moved.append(replace(piece, z=piece.z - drop) if drop else piece)
+    return moved
+
+
+def _is_on(thing: PropPlacement, piece: PropPlacement) -> bool:
+    box = piece.floor_box
+    return box.x0 < thing.x < box.x1 and box.y0 < thing.y < box.y1 and thing.z <= piece.heights[1] + _LOW_M
 
 
 def wall_pose(model: PropModel, room: Rectangle, side: str, along: float, gap: float) -> tuple[float, float, float]:

@@ -342,6 +342,11 @@ def high_bay_lamps(plan: FloorPlan, area: Rectangle, height: float, pitch: float
 
 
 def marking(plan: FloorPlan, area: Rectangle, material: SurfaceMaterial) -> None:
-    """Adds a flat floor marking 2 mm above the floor, so it is not an obstacle."""
-    strip = open_block((area.x0, area.y0, 0.0), (area.x1, area.y1, 0.002), "T")
-    plan.build("SM_Marking", PropPiece(material, strip))
+    """Adds a flat floor marking 2 mm above the floor, so it is not an obstacle. Earlier markings stay visible."""
+    parts = [area]
+    for other in plan.covered:
+        parts = [rest for part in parts for rest in part.without(other)]
+    plan.covered.append(area)
+    if parts:
+        strips = (open_block((part.x0, part.y0, 0.0), (part.x1, part.y1, 0.002), "T") for part in parts)
+        plan.build("SM_Marking", *(PropPiece(material, strip) for strip in strips))

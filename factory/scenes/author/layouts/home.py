@@ -170,7 +170,7 @@ def _chairs(furnisher: Furnisher, table: PropPlacement, kind: str, look: int) ->
         if furnisher.rng.random() < 0.86:
             x, y = table.x + c * a - s * b, table.y + s * a + c * b
             yaw = table.yaw + turn + float(furnisher.rng.uniform(-0.15, 0.15))
-            furnisher.plan.place(furnisher.plan.props.model(kind, look), x, y, yaw, furnisher.area, 0.0, True)
+            furnisher.plan.seat(furnisher.plan.props.model(kind, look), x, y=y, yaw=yaw, room=furnisher.area, of=table)
 
 
 def _kitchen(furnisher: Furnisher) -> None:
@@ -191,9 +191,9 @@ def _kitchen(furnisher: Furnisher) -> None:
         )
     elif space > 3.3:
         table = plan.place(furnisher.model("SM_TableRound_C"), *furnisher.area.centre, 0.0, furnisher.area, 0.8)
-        for turn in (0.4, 3.5) if table is not None else ():
-            x, y = furnisher.area.centre[0] + 0.55 * math.cos(turn), furnisher.area.centre[1] + 0.55 * math.sin(turn)
-            plan.place(furnisher.model("SM_ChairWood_D", look), x, y, turn - math.pi / 2, furnisher.area, 0.0, True)
+        for turn in (0.4, 3.5):
+            if table is not None:
+                furnisher.facing(table, "SM_ChairWood_D", look, turn=turn, reach=0.55)
         furnisher.dress(table, _ON_TABLES, 1, 0.74)
     furnisher.small(("SM_TrashCan_A", "SM_Basket"), 0.3)
     furnisher.hang("SM_WallLedge")
@@ -207,11 +207,6 @@ def _bedroom(furnisher: Furnisher) -> None:
     tries = (furnisher.wall_piece("SM_BedDouble", variant, clearance=free_m, gap=0.01) for free_m in (0.75, 0.4, 0.1))
     bed_placed = next((bed for bed in tries if bed is not None), None)
     if bed_placed is not None:
-        furnisher.carpet(
-            (bed_placed.x, bed_placed.y),
-            *((2.7, 1.5) if abs(math.cos(bed_placed.yaw)) > 0.5 else (1.5, 2.7)),
-            plan.pick(9) + 2,
-        )
         half = float(bed_placed.model.high[0])
         for turn in (-1.0, 1.0):
             stand = furnisher.beside("SM_NightStand", look, bed_placed, turn * (half + 0.32), 0.02)

@@ -137,7 +137,8 @@ def _desks(furnisher: Furnisher, front: str, depth: float) -> None:
                         y - 0.42 * math.cos(yaw) + shift * math.sin(yaw),
                     )
                     turn = yaw + math.pi + float(rng.uniform(-0.15, 0.15))
-                    plan.place(furnisher.model("SM_ChairWaiting_E", chair_look), *seat, turn, furnisher.area, 0.0, True)
+                    chair = furnisher.model("SM_ChairWaiting_E", chair_look)
+                    plan.seat(chair, seat[0], y=seat[1], yaw=turn, room=furnisher.area, of=desk)
 
 
 def _library(furnisher: Furnisher) -> None:
@@ -151,9 +152,8 @@ def _library(furnisher: Furnisher) -> None:
         for side, shift in ((1.0, -0.4), (1.0, 0.4), (-1.0, 0.0)):
             yaw = 0.0 if side > 0 else math.pi
             x, y = table.x + shift, table.y + side * 0.55
-            furnisher.plan.place(
-                furnisher.model("SM_ChairWood_D", furnisher.palette.wood), x, y, yaw, furnisher.area, 0.0, True
-            )
+            chair = furnisher.model("SM_ChairWood_D", furnisher.palette.wood)
+            furnisher.plan.seat(chair, x, y=y, yaw=yaw, room=furnisher.area, of=table)
         furnisher.on_top("SM_Laptop", None, below=table, height=0.75, along=0.5)
         furnisher.on_top("SM_Monitor_A", None, below=table, height=0.75, along=-0.45)
     furnisher.carpet(
@@ -185,17 +185,9 @@ def _staff(furnisher: Furnisher) -> None:
         furnisher.on_top("SM_CoffeeMachine", None, unit, 0.90)
     furnisher.wall_piece("SM_Sofa_A", furnisher.palette.cover, clearance=0.4)
     table = furnisher.plan.place(furnisher.model("SM_TableRound_C"), *furnisher.area.centre, 0.0, furnisher.area, 0.7)
-    for turn in (0.4, 2.5, 4.6) if table is not None else ():
-        x, y = furnisher.area.centre[0] + 0.6 * math.cos(turn), furnisher.area.centre[1] + 0.6 * math.sin(turn)
-        furnisher.plan.place(
-            furnisher.model("SM_ChairWood_D", furnisher.palette.wood),
-            x,
-            y,
-            turn - math.pi / 2,
-            furnisher.area,
-            0.0,
-            True,
-        )
+    for turn in (0.4, 2.5, 4.6):
+        if table is not None:
+            furnisher.facing(table, "SM_ChairWood_D", furnisher.palette.wood, turn=turn, reach=0.6)
     furnisher.dress(table, ("SM_Crockery", "SM_FruitBowl", "SM_Papers"), 1, 0.74)
     desk = furnisher.wall_piece("SM_TableDesk_A", furnisher.palette.wood, clearance=0.4, gap=0.05)
     if desk is not None:
