@@ -97,13 +97,14 @@ ledger-accidents: $(READY)
 
 # exports to every format, prints sizes and times, and opens the exports with their readers: LeRobot's loaders (Python 3.12;
 # 0.6 for v3.0, 0.3 for v2.1), Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in separate
-# environments of 17 GB in total; VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer adds the loader of ViNT and NoMaD
+# environments of 17 GB in total; VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer adds the loader of ViNT and NoMaD,
+# and INTERNNAV=CHECKOUT of InternRobotics/InternNav those of NavDP and InternVLA-N1 (they also need libusb)
 test-formats: $(READY) $(LEROBOT)/.ready $(LEROBOT)-v2.1/.ready $(HABITAT)/.ready $(READERS)/.ready
 	rm -rf build/formats
 	$(VENV)/bin/factory run demo --episodes 8 --out build/formats/data
 	$(VENV)/bin/python tests/readers/formats.py build/formats/data build/formats/out lerobot=$(LEROBOT)/bin/python \
 	    lerobot-v2.1=$(LEROBOT)-v2.1/bin/python habitat=$(HABITAT)/bin/python \
-	    readers=$(READERS)/bin/python visualnav=$(VISUALNAV)
+	    readers=$(READERS)/bin/python visualnav=$(VISUALNAV) internnav=$(INTERNNAV)
 
 # reads exported instructions, sub-instructions with their frame spans, and questions with the loaders of LeRobot and Habitat
 test-language: $(READY) $(LEROBOT)/.ready $(HABITAT)/.ready
@@ -128,7 +129,7 @@ test-lerobot: $(READY) $(LEROBOT)/.ready
 
 $(LEROBOT)/.ready:
 	python3.12 -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb
+	$(LEROBOT)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb open3d opencv-python-headless scipy
 	touch $(LEROBOT)/.ready
 
 # torchvision of that release uses functions that later versions of PyAV removed

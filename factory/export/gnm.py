@@ -80,7 +80,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         place = folder / DATASET_NAME / episode.episode_id
         place.mkdir(parents=True)
         for number, t in enumerate(steps):
-            (place / f"{number}.jpg").write_bytes(_jpeg(episode.rgb(t), options.jpeg_quality))
+            (place / f"{number}.jpg").write_bytes(encode_jpeg(episode.rgb(t), options.jpeg_quality))
         poses = episode.poses[:: steps.step]
         position = poses[:, :2]
         yaw = yaw_of(poses)
@@ -104,7 +104,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         export.out.write_text(CARD_FILE, export_card(export.dataset.meta, len(export.pieces), text, tags=("gnm",)))
 
 
-def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
     """Returns a JPEG, encoded in memory: Pillow would not detect a partial write to a full disk."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "JPEG", quality=quality)

@@ -133,10 +133,23 @@ class McapOptions(Decimated):
         return START_TIME_S if self.start_time is None else self.start_time
 
 
+_QUALITY = "JPEG quality, 1 to 100. Default: 92."
+
+
 class GnmOptions(Decimated):
     """Options of format `gnm`."""
 
-    jpeg_quality: int = Field(default=92, ge=1, le=100, description="JPEG quality, 1 to 100. Default: 92.")
+    jpeg_quality: int = Field(default=92, ge=1, le=100, description=_QUALITY)
+
+
+class NavDpOptions(GnmOptions):
+    """Options of format `navdp`."""
+
+
+class InternNavOptions(Options):
+    """Options of format `internnav`, whose frames are chosen by the motion of the robot."""
+
+    jpeg_quality: int = Field(default=92, ge=1, le=100, description=_QUALITY)
 
 
 OPTIONS: Mapping[str, type[Options]] = MappingProxyType(
@@ -148,6 +161,8 @@ OPTIONS: Mapping[str, type[Options]] = MappingProxyType(
         "mcap": McapOptions,
         "gnm": GnmOptions,
         "vlnce": Options,
+        "navdp": NavDpOptions,
+        "internnav": InternNavOptions,
     }
 )
 """Options of each format by its name, in the order of the registry."""

@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from factory.dataset.episode import Episode
 from factory.dataset.episode_names import episode_index
+from factory.export.registry import EXPORTERS
 from factory.export.source import as_frames
 from schemas.dataset.origin import NOT_RECORDED, PACKAGE, EpisodeOrigin
 from schemas.errors import UsageError, WorldError
@@ -95,9 +96,8 @@ def find_origin(export: Path, name: str) -> EpisodeOrigin:
         some = ", ".join(sorted(seen)[:_NAMED]) + (", ..." if len(seen) > _NAMED else "")
         raise UsageError(f"{export} has no episode {wanted}; it has {some}")
     raise UsageError(
-        f"{export} states no origins of episodes: give an export of lerobot, lerobot-v2.1, webdataset, mcap, paper, "
-        "gnm "
-        "or vlnce that this version of `factory export` or a later one has written"
+        f"{export} states no origins of episodes: give an export of {', '.join(EXPORTERS)} that this version of "
+        "`factory export` or a later one has written"
     )
 
 
@@ -182,6 +182,14 @@ def _bounded(file: gzip.GzipFile) -> bytes:
     return data
 
 
+def _in_lines(path: Path, wanted: str) -> Iterator[Found]:  # noqa: ARG001
+    with path.open(encoding="utf-8") as file:
+        while line := file.readline(_MAX_BYTES):
+            entry = json.loads(line)
+            if isinstance(entry, dict) and isinstance(entry.get(COLUMN), dict):
+                yield _found(json.dumps(entry[COLUMN]))
+
+
 def _found(text: str) -> Found:
     data = json.loads(text)
     return Found(str(data.get("episode", "")) if isinstance(data, dict) else "", text)
@@ -194,4 +202,5 @@ _READERS: tuple[tuple[str, Reader], ...] = (
     (".mcap", _in_mcap),
     (FILE, _in_file),
     (".json.gz", _in_habitat),
+    ("episodes.jsonl", _in_lines),
 )

@@ -25,6 +25,8 @@ EXPORTERS: Mapping[str, str] = MappingProxyType(
         "mcap": "factory.export.mcap.exporter:McapExporter",
         "gnm": "factory.export.gnm:GnmExporter",
         "vlnce": "factory.export.vlnce.exporter:VlnceExporter",
+        "navdp": "factory.export.internnav:NavDpExporter",
+        "internnav": "factory.export.internnav:InternNavExporter",
     }
 )
 """Name of the format -> module and class."""

@@ -38,6 +38,8 @@ EXPORTS: Mapping[str, tuple[str, ...]] = {
     "mcap": (),
     "mcap --ros2": ("--ros2",),
     "gnm": (),
+    "navdp": ("--fps", "20"),
+    "internnav": (),
     "vlnce": (),
 }
 """Export -> options."""

@@ -146,6 +146,10 @@ def test_the_desks_of_pupils_stand_in_rows_that_face_the_board(layouts: Layouts)
         for room in (room.area for room in plan.rooms if room.kind == "class"):
             inside = [p for p in desks if room.x0 < p.x < room.x1 and room.y0 < p.y < room.y1]
             assert len({round(p.yaw, 3) for p in inside}) <= 1, seed
+            boards = [p for p in plan.placements if p.model.name.startswith("SM_Whiteboard")]
+            near = [p for p in boards if room.grown(0.1).x0 < p.x < room.grown(0.1).x1 and room.y0 < p.y < room.y1]
+            if near and inside:
+                assert any(np.cos(p.yaw - inside[0].yaw) > 0.99 for p in near), seed
             across = sum(len(group) > 1 for group in _rows(inside))
             assert across >= min(2, len(inside) // 4), (seed, len(inside))
 

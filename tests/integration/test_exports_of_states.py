@@ -28,6 +28,8 @@ EXPORTS: list[tuple[str, dict[str, Any]]] = [
     ("mcap", {"ros2": True}),
     ("gnm", {"fps": 6}),
     ("vlnce", {}),
+    ("navdp", {"fps": 6}),
+    ("internnav", {}),
 ]
 
 

@@ -30,6 +30,8 @@ RUNS: dict[str, tuple[str, ...]] = {
     "mcap-ros2": ("mcap", "--ros2"),
     "gnm": ("gnm",),
     "vlnce": ("vlnce",),
+    "navdp": ("navdp", "--fps", "20"),
+    "internnav": ("internnav",),
     "paper-rig": ("paper", *RIG),
     "lerobot-rig": ("lerobot", *ALL, *RIG),
 }
@@ -55,6 +57,7 @@ READERS: dict[str, Reader] = {
     "mcap": Reader("readers", ("paper", "mcap")),
     "ros2": Reader("readers", ("paper", "mcap-ros2")),
     "gnm": Reader("lerobot", ("paper", "gnm")),
+    "internnav": Reader("lerobot", ("navdp", "internnav")),
     "habitat": Reader("habitat", ("paper", "vlnce")),
     "rlds": Reader("readers", ("dataset", "paper", "rlds")),
     "rerun": Reader("readers", ("dataset", "paper", "mcap", "lerobot", "lerobot-v2.1")),
@@ -97,6 +100,11 @@ def is_read_back(name: str, dataset: Path, out: Path, places: dict[str, str]) ->
     shown = [str(dataset if folder == "dataset" else out / folder) for folder in reader.shown]
     if name == "gnm" and places.get("visualnav"):
         shown.append(places["visualnav"])
+    if name == "internnav":
+        if not places.get("internnav"):
+            sys.stderr.write("the loaders of InternNav were not tested: give internnav=CHECKOUT\n")
+            return True
+        shown.append(places["internnav"])
     command = [places[reader.environment], "-W", "ignore", str(Path(__file__).with_name(f"{name}_reader.py")), *shown]
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(out / ".huggingface")}
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:

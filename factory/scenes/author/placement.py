@@ -120,6 +120,11 @@ class PropPlacement:
         return footprint(self.model, self.x, self.y, self.yaw)
 
     @cached_property
+    def is_looked_at(self) -> bool:
+        """Whether furniture should not hide it."""
+        return self.model.name.startswith(_LOOKED_AT)
+
+    @cached_property
     def heights(self) -> tuple[float, float]:
         """Heights of its lowest and highest point, metres."""
         return float(self.model.low[2]) + self.z, float(self.model.high[2]) + self.z
@@ -135,8 +140,7 @@ class Solid(NamedTuple):
 
 def solids(placement: PropPlacement) -> list[Solid]:
     """Returns the boxes of the pieces of a prop."""
-    meshes = [piece.mesh.points for piece in placement.model.pieces]
-    return [Solid(points.min(axis=0), points.max(axis=0), placement) for points in meshes]
+    return [Solid(low, high, placement) for low, high in placement.model.boxes]
 
 
 def penetration(one: Solid, two: Solid) -> float:
@@ -355,11 +359,12 @@ class FloorPlan:
     def hides(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
         """Returns whether a model at a pose would hide a window, board, screen or picture, or is one and hidden."""
         new = PropPlacement("", model, x=x, y=y, z=0.0, yaw=yaw)
-        seen = model.name.startswith(_LOOKED_AT)
+        near = new.floor_box.grown(_VIEW_M)
         return any(
-            (other.model.name.startswith(_LOOKED_AT) and hidden_share(other, new) > _MOST_HIDDEN)
-            or (seen and hidden_share(new, other) > _MOST_HIDDEN)
+            (other.is_looked_at and hidden_share(other, new) > _MOST_HIDDEN)
+            or (new.is_looked_at and hidden_share(new, other) > _MOST_HIDDEN)
             for other in self.placements
+            if (new.is_looked_at or other.is_looked_at) and near.overlaps(other.floor_box)
         )
 
     def in_corner(

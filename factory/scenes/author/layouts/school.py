@@ -88,8 +88,10 @@ def _looks(palette: Palette) -> dict[str, RoomLook]:
 def _class(furnisher: Furnisher) -> None:
     """Places a whiteboard and a teacher's desk at one wall, rows of pupils' desks that face it, shelves and bags."""
     plan, rng = furnisher.plan, furnisher.rng
+    board = furnisher.wall_piece("SM_Whiteboard_A", None, None, 0.2)
     front = furnisher.sides()[0]
-    board = furnisher.wall_piece("SM_Whiteboard_A", None, front, 0.2)
+    if board is not None:
+        front = next(side for side, yaw in FACING.items() if math.cos(yaw - board.yaw) > 0.5)
     depth = furnisher.area.depth if front in "NS" else furnisher.area.width
     along = float(rng.uniform(0.15, 0.85))
     teacher = furnisher.model("SM_TableTeacher_G", furnisher.palette.wood)
@@ -101,8 +103,6 @@ def _class(furnisher: Furnisher) -> None:
         furnisher.on_top(
             ("SM_Globe", "SM_Papers", "SM_BookPile")[plan.pick(3)], None, below=desk, height=0.76, along=0.45
         )
-    if board is None:
-        furnisher.wall_piece("SM_Whiteboard_A", clearance=0.2)
     _desks(furnisher, front, depth)
     furnisher.wall_piece("SM_ShelfBook_B", furnisher.palette.wood, clearance=0.3)
     furnisher.dress(furnisher.wall_piece("SM_Sideboard", furnisher.palette.wood, clearance=0.3), _ON_CABINETS, 3)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -61,6 +62,11 @@ class PropModel:
     pieces: tuple[PropPiece, ...]
     low: Floats
     high: Floats
+
+    @cached_property
+    def boxes(self) -> list[tuple[Floats, Floats]]:
+        """Lowest and highest corner of each piece, metres."""
+        return [(piece.mesh.points.min(axis=0), piece.mesh.points.max(axis=0)) for piece in self.pieces]
 
 
 CATALOGUE: Mapping[str, CatalogueEntry] = MappingProxyType(

@@ -60,7 +60,7 @@ def test_damaged_newer_and_oversized_origins_are_errors_with_a_remedy(tmp_path: 
 def test_a_folder_without_origins_is_refused(tmp_path: Path) -> None:
     (tmp_path / "old").mkdir()
     (tmp_path / "old/export.json").write_text("{}")
-    with pytest.raises(UsageError, match="states no origins of episodes: give an export of lerobot"):
+    with pytest.raises(UsageError, match="states no origins of episodes: give an export of paper, lerobot"):
         find_origin(tmp_path / "old", "1")
     with pytest.raises(UsageError, match="does not exist; give the --out of `factory export`"):
         find_origin(tmp_path / "nothing", "1")
