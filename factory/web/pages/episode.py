@@ -172,7 +172,7 @@ async def mark(request: Request) -> Response:
     if len(note) > MOST_NOTE_CHARS:
         raise HTTPException(400, f"the note has {len(note)} characters, at most {MOST_NOTE_CHARS} are allowed")
     await run_in_threadpool(context.marks.write, name, Mark(flagged="flagged" in fields, note=note))
-    return RedirectResponse(f"/episodes/{name}#mark", 303)
+    return RedirectResponse(f"{context.workspace.base}/episodes/{name}#mark", 303)
 
 
 def list_objects(request: Request) -> Response:
