@@ -38,6 +38,7 @@ from factory.web.pages import (
     farm,
     gallery,
     operations,
+    pair,
     scene3d,
     scenes,
     statistics,
@@ -46,7 +47,7 @@ from factory.web.pages.find import NoEpisode
 from factory.web.recent import Recent
 from schemas.errors import FactoryError, UsageError
 
-_PAGES = (gallery, episodes, episode, scenes, scene3d, statistics, evaluation, operations)
+_PAGES = (gallery, episodes, episode, pair, scenes, scene3d, statistics, evaluation, operations)
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 
