@@ -25,8 +25,8 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
         "distance to the target": "planar distance from the robot to the target, by the measure that decides about "
         "success",
         "SR": "success rate: share of the episodes that end stationary within the success radius",
-        "any instance": "share of the episodes that end stationary within the success radius of the target or of another "
-        "object of its category",
+        "any instance": "share of the episodes that end stationary within the success radius of the target or of "
+        "another object of its category",
         "SPL": "success weighted by path length: shortest path divided by driven path, 0 without success",
         "soft-SPL": "SPL with the covered fraction of the start distance instead of success",
         "OP final": _OP.format("at the end"),

@@ -64,7 +64,7 @@ def print_comparison(comparison: PairedComparison) -> None:
     print_text(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
     body = [(TITLES["success"], _estimate(comparison.success_difference, 3))]
     body += [(TITLES[name], _estimate(value, 3)) for name, value in comparison.differences.items()]
-    print_table("", (f"{other} minus {one}", "mean, 95 % interval"), body, widest=_WIDTH)
+    print_table(f"\n{other} minus {one}", ("measure", "mean, 95 % interval"), body, widest=_WIDTH)
     if comparison.left_out:
         print_text(f"not compared: {comparison.left_out} episodes run by one policy only")
 
