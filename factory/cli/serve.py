@@ -49,7 +49,7 @@ def command(
     ledger: str | None,
     verbose: bool,
 ) -> None:
-    """Serve the web page of a dataset and its run, or of all datasets in a folder.
+    """Serve the web page of a dataset, or of all datasets in a folder.
 
     Ends with Ctrl-C. Shows progress, workers, failures, episodes, scenes and statistics of a running or finished
     dataset. The printed URL contains the token, with which flags, notes and jobs can be changed.

@@ -187,7 +187,7 @@ def describe_dataset(directory: Path) -> DatasetEntry:
 
 
 def _without_tables(workspace: Workspace, name: str) -> DatasetEntry:
-    """Returns the row of a dataset whose tables are missing or damaged; no fault if its run has just begun."""
+    """Returns the row of a dataset whose tables are missing or damaged; no fault if its run has just started."""
     with suppress(FactoryError):
         farm = workspace.farm()
         if not farm.progress.jobs.get("archived"):
