@@ -145,13 +145,13 @@ Categories: {categories}.
 - `scenes/`: the compiled scenes. `dataset_meta.json`: plan, seed, versions, digest.
 
 ## How to load it
-Rows and thumbnails by split, without minivla-factory:
+Rows by split, without minivla-factory:
 
 ```python
 from datasets import load_dataset
 
 splits = load_dataset("PATH_OR_REPOSITORY")  # train_id, val_id, test_id, ...: each split that has episodes
-splits["train_id"][0]["instruction"], splits["train_id"][0]["thumbnail"]  # a PIL image
+splits["train_id"][0]["instruction"]{picture}
 ```
 
 Before the run has ended once, `datasets` finds one table, which it names `train`; the column `split` has the splits.
@@ -197,8 +197,9 @@ _SENSORS = """`sensors/*` (measurements of the rig `{}`, see
 _RENDERED = """ This dataset records states:
   minivla-factory renders the frames from `poses.npy` and `scenes/` when they are read, byte for byte as the robot saw
   them with the same renderer (see `dataset_meta.json`); `factory render . -o OUT` writes them as files."""
-_DRAWN_THUMBNAIL = ", with a `thumbnail` of frame 0 where `factory push --thumbnails` has rendered it"
+_DRAWN_THUMBNAIL = "; `factory push --thumbnails` adds a `thumbnail` (frame 0, JPEG, 160 x 160)"
 _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
+_PICTURE = ', splits["train_id"][0]["thumbnail"]  # a PIL image'
 _SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
 _STRAIGHT = (
@@ -244,6 +245,7 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         frames=(_FRAMES if stores_frames else "") + ("" if rig is None else _SENSORS.format(rig.name)),
         rendered="" if stores_frames else _RENDERED,
         thumbnail=_THUMBNAIL if stores_frames else _DRAWN_THUMBNAIL,
+        picture=_PICTURE if stores_frames else "",
         expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT.format(meta.plan.screening),
         languages="\n".join(f"- {code}" for code in languages),
         english=" in English" if languages == ("en",) else "",

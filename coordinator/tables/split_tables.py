@@ -35,8 +35,8 @@ from schemas.storage.place import Place, children, table_of
 from schemas.terms import Recording, Split
 
 THUMBNAIL = "thumbnail"
-"""Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available, or
-if the dataset records states and `factory push --thumbnails` has not rendered it."""
+"""Name of the last column: frame 0 in the format of `datasets.Image`; null if the episode's file was not available. A
+dataset of states has no such column until `factory push --thumbnails` has rendered it."""
 DIGEST_KEY, PICTURES_KEY = b"minivla_rows", b"minivla_thumbnails"
 """Keys of the file metadata: digest of the rows and number of thumbnails."""
 UNREADABLE = (pa.ArrowException, OSError, KeyError, ValueError)
@@ -134,7 +134,8 @@ def read_pictures(path: Place) -> dict[str, bytes]:
         pictures = pq.read_table(table_of(path), columns=columns, page_checksum_verification=True).to_pylist()
     except UNREADABLE:
         return {}
-    return {row["content_digest"]: row[THUMBNAIL]["bytes"] for row in pictures if row[THUMBNAIL] is not None}
+    # tables of states datasets have no such column before they are rendered
+    return {row["content_digest"]: row[THUMBNAIL]["bytes"] for row in pictures if row.get(THUMBNAIL) is not None}
 
 
 SURPLUS = f"{METADATA_FILE} has no rows for it"
@@ -211,7 +212,8 @@ def _check_footer(root: Place, table: SplitTable) -> str:
 
 def _check_rows(root: Place, table: SplitTable) -> str:
     stored = pq.read_table(table_of(root / table.name), page_checksum_verification=True)
-    if not stored.drop_columns([THUMBNAIL]).replace_schema_metadata().equals(table.rows.replace_schema_metadata()):
+    rows = stored.select([name for name in stored.column_names if name != THUMBNAIL])
+    if not rows.replace_schema_metadata().equals(table.rows.replace_schema_metadata()):
         return _OTHER_ROWS
     return _missing_thumbnails(root, table, read_pictures(root / table.name))
 
@@ -307,12 +309,12 @@ def _write(
         None if picture is None else {"bytes": picture, "path": f"{row['episode_id']}.jpg"}
         for row, picture in zip(rows, made, strict=True)
     ]
-    metadata = {
-        b"huggingface": _FEATURES,
-        DIGEST_KEY: table.digest.encode(),
-        PICTURES_KEY: str(sum(picture is not None for picture in pictures)).encode(),
-    }
-    full = table.rows.append_column(pa.field(THUMBNAIL, _IMAGE), pa.array(pictures, _IMAGE))
+    count = sum(picture is not None for picture in pictures)
+    metadata = {DIGEST_KEY: table.digest.encode(), PICTURES_KEY: str(count).encode()}
+    full = table.rows
+    if are_stored or count:  # an empty column would look like missing pictures
+        metadata[b"huggingface"] = _FEATURES
+        full = full.append_column(pa.field(THUMBNAIL, _IMAGE), pa.array(pictures, _IMAGE))
     with archive.replacing(table.name) as part:
         pq.write_table(full.replace_schema_metadata(metadata), part, compression="zstd", write_page_checksum=True)
 

@@ -59,7 +59,7 @@ VERBS = MappingProxyType(
         "stats": CommandEntry(_INSPECT, "Print the statistics of a dataset."),
         "report": CommandEntry(_INSPECT, "Write an HTML report with figures of a dataset."),
         "show": CommandEntry(_INSPECT, "Write one episode as a contact sheet or a video."),
-        "serve": CommandEntry(_INSPECT, "Serve the web page of a dataset and its run."),
+        "serve": CommandEntry(_INSPECT, "Serve the web page of a dataset, or of all datasets in a folder."),
         "view": CommandEntry(_INSPECT, "Open one episode in the Rerun viewer."),
         "export": CommandEntry(_USE, "Convert a dataset to another format."),
         "relabel": CommandEntry(_USE, "Write new verified instructions for a dataset."),

@@ -49,7 +49,7 @@ def command(
     ledger: str | None,
     verbose: bool,
 ) -> None:
-    """Serve the web page of a dataset and its run.
+    """Serve the web page of a dataset, or of all datasets in a folder.
 
     Ends with Ctrl-C. Shows progress, workers, failures, episodes, scenes and statistics of a running or finished
     dataset. The printed URL contains the token, with which flags, notes and jobs can be changed.
@@ -61,15 +61,40 @@ def command(
     configure_logs(verbose)
     for package in ("starlette", "uvicorn", "sqlalchemy"):
         require_package(package, "`factory serve`")
-    if not (is_dataset(site.state_dir) or (site.place / EPISODES).is_dir()):
-        raise UsageError(f"{site} is not a dataset; create one with `factory run demo --out {quoted(site)}`")
     from factory.eval.results.store import read_manifest
-    from factory.web.start import serve  # needs an extra
+    from factory.web.start import serve, serve_folder  # needs an extra
 
+    is_folder = _is_folder(site)
+    if is_folder and (evaluations or ledger is not None):
+        option = "--eval" if evaluations else "--ledger or MINIVLA_LEDGER"
+        raise UsageError(
+            f"{site} is a folder of datasets, but {option} belongs to one dataset: serve the dataset alone"
+        )
     for folder in evaluations:
         read_manifest(folder)  # raises its errors before the server starts
     token = read_token(http_token) if http_token is not None else None
-    served = serve(site, http, token, tls=tls, ledger=ledger, evaluations=evaluations, renders_ahead=True)
+    if is_folder:
+        served = serve_folder(site.state_dir, http, token, tls)
+    else:
+        served = serve(site, http, token, tls=tls, ledger=ledger, evaluations=evaluations, renders_ahead=True)
     with served as url, stop_on_signals() as (stop, _):
         click.echo(f"web page of {site}: {url}")
         stop.wait()
+
+
+def _is_folder(site: Site) -> bool:
+    """Returns whether a location is a folder of datasets and not a dataset.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    from factory.web.folder import find_datasets
+
+    if is_dataset(site.state_dir) or (site.place / EPISODES).is_dir():
+        return False
+    if site.store is None and site.state_dir.is_dir() and find_datasets(site.state_dir):
+        return True
+    raise UsageError(
+        f"{site} is neither a dataset nor a folder of datasets; create a dataset with `factory run demo --out "
+        f"{quoted(site)}`"
+    )

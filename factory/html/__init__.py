@@ -11,8 +11,9 @@ import functools
 import re
 from typing import TYPE_CHECKING
 
-from factory.html.measures import define
+from factory.html.measures import define, definitions_of
 from factory.html.palette import css_variables
+from schemas.support.shell import quoted
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -64,6 +65,6 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["units"] = join_units
-    environment.filters["define"] = define
+    environment.filters |= {"define": define, "definitions": definitions_of, "quoted": quoted}
     environment.globals |= {"light": css_variables(dark=False), "dark": css_variables(dark=True)}
     return environment

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import click
 
+from factory.html.measures import PLACES, definitions_of
 from factory.stats import paper
 from factory.stats.statistics import (
     AttemptRow,
@@ -35,7 +36,11 @@ def print_statistics(statistics: Statistics) -> None:
     print_text(f"{statistics.dataset}: {count}, run {statistics.run}, {statistics.expert} expert")
     beside = statistics.beside_paper
     published = "; columns `paper`: published values" if beside else ""
-    print_text(f"NE: navigation error, TL: trajectory length, metres; means unless noted{published}; 95 % intervals")
+    print_text(
+        f"NE to the {PLACES[statistics.success]} and TL in metres; means unless noted{published}; 95 % intervals"
+    )
+    for name, definition in definitions_of(("NE", "TL")).items():
+        print_text(f"{name}: {definition}")
     for name, rows in (
         ("scene", statistics.scenes),
         ("split", statistics.splits),
@@ -50,9 +55,10 @@ def print_statistics(statistics: Statistics) -> None:
     _print_attempts(statistics.attempts, beside)
     _print_cells(statistics)
     radius_m = statistics.success_radius_m
-    _print_errors(f"NE by scene, {statistics.success}", statistics.navigation_error, radius_m, beside)
+    other = next(measure for measure in PLACES if measure is not statistics.success)
+    _print_errors(f"NE to the {PLACES[statistics.success]}", statistics.navigation_error, radius_m, beside)
     if statistics.other_error:
-        _print_errors("NE by scene, other measure", statistics.other_error, radius_m, beside=False)
+        _print_errors(f"NE to the {PLACES[other]}", statistics.other_error, radius_m, beside=False)
     _print_fits((*statistics.correlation, paper.FIT) if beside else statistics.correlation)
     _print_overlap(statistics)
     _print_far(statistics.far)

@@ -69,10 +69,22 @@ def print_text(text: str, console: Console = stdout) -> None:
 
 
 def print_table(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], console: Console = stdout
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    console: Console = stdout,
+    widest: int = _PIPE_COLUMNS,
 ) -> None:
-    """Prints a table; see `FittedTable`."""
-    console.print(FittedTable(title, columns, rows))
+    """Prints a table; see `FittedTable`.
+
+    Args:
+        title: title.
+        columns: column names.
+        rows: rows.
+        console: output console.
+        widest: largest width without a terminal, characters.
+    """
+    console.print(FittedTable(title, columns, rows), width=None if console.is_terminal else widest)
 
 
 class FittedTable:

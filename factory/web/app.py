@@ -12,20 +12,25 @@ from pathlib import Path
 
 import structlog
 from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from coordinator.status.address import HttpAddress
 from factory.html import render
 from factory.html.palette import REASON_COLOURS
 from factory.web.access import Access
-from factory.web.context import FarmView, WebContext, page
+from factory.web.context import FarmView, WebContext, context_of, page
+from factory.web.folder import DATASETS_PATH, MOST_OPEN, DatasetFolder
 from factory.web.forms import read_form
 from factory.web.guard import RequestGuard, signed_in
+from factory.web.pages import (
+    datasets as folder_page,
+)
 from factory.web.pages import (
     episode,
     episodes,
@@ -33,6 +38,7 @@ from factory.web.pages import (
     farm,
     gallery,
     operations,
+    pair,
     scene3d,
     scenes,
     statistics,
@@ -41,7 +47,7 @@ from factory.web.pages.find import NoEpisode
 from factory.web.recent import Recent
 from schemas.errors import FactoryError, UsageError
 
-_PAGES = (gallery, episodes, episode, scenes, scene3d, statistics, evaluation, operations)
+_PAGES = (gallery, episodes, episode, pair, scenes, scene3d, statistics, evaluation, operations)
 _STATIC = Path(__file__).parent / "static"
 log = structlog.get_logger(__name__)
 
@@ -57,26 +63,59 @@ def create_app(
         access: token and reading rights.
         more_routes: additional routes, for example the status pages of a coordinator.
     """
+    return RequestGuard(_app_of(context, [*all_routes(context.farm), *more_routes]), address, access)
+
+
+def create_folder_app(folder: DatasetFolder, address: HttpAddress, access: Access) -> ASGIApp:
+    """Returns the application of a folder of datasets: its list of datasets, and all pages of each dataset.
+
+    Args:
+        folder: the folder.
+        address: configured address of the server.
+        access: token and reading rights, the same for all datasets.
+    """
+
+    @functools.lru_cache(maxsize=MOST_OPEN)
+    def app_of(context: WebContext) -> ASGIApp:
+        return _app_of(context, page_routes(context.farm))
+
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        context = await run_in_threadpool(folder.context_of, scope["path_params"]["name"])
+        await app_of(context)(scope, receive, send)
+
+    pages = [*_server_routes(), *folder_page.routes(), Mount(f"{DATASETS_PATH}/{{name}}", answer)]
+    return RequestGuard(_app_of(folder, pages), address, access)
+
+
+def _app_of(context: WebContext | DatasetFolder, routes: Sequence[BaseRoute]) -> Starlette:
     app = Starlette(
-        routes=[*all_routes(context.farm), *more_routes],
+        routes=routes,
         exception_handlers={HTTPException: _answer_http_error, FactoryError: _answer_failure, Exception: _answer_bug},
     )
     app.state.context = context
-    return RequestGuard(app, address, access)
+    return app
 
 
 def all_routes(farm_view: Recent[FarmView]) -> list[BaseRoute]:
-    """Returns the routes of all pages, their images and their static files.
+    """Returns the routes of a server with one dataset: all pages, their images and their static files.
 
     Args:
         farm_view: content of the farm page.
     """
+    return [*_server_routes(), *page_routes(farm_view)]
+
+
+def page_routes(farm_view: Recent[FarmView]) -> list[BaseRoute]:
+    """Returns the routes of all pages of one dataset and of their images; `farm_view` as in `all_routes`."""
+    return [*farm.routes(farm_view), *(route for module in _PAGES for route in module.routes())]
+
+
+def _server_routes() -> list[BaseRoute]:
+    """Returns the routes that are the same for all datasets of a server."""
     return [
         Route("/login", login, methods=["GET", "POST"]),
         Route("/static/page.css", style),
         Mount("/static", StaticFiles(directory=_STATIC)),
-        *farm.routes(farm_view),
-        *(route for module in _PAGES for route in module.routes()),
     ]
 
 
@@ -103,7 +142,8 @@ async def login(request: Request) -> Response:
 def _answer_http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     near = error.nearest if isinstance(error, NoEpisode) else ""
-    return _message(request, error.status_code, error.detail, [(f"/episodes/{near}", near)] if near else [])
+    links = [(f"{context_of(request).workspace.base}/episodes/{near}", near)] if near else []
+    return _message(request, error.status_code, error.detail, links)
 
 
 def _answer_failure(request: Request, error: Exception) -> Response:
@@ -119,4 +159,5 @@ def _message(request: Request, status: int, text: str, links: Sequence[tuple[str
     if "text/html" not in request.headers.get("accept", "text/html"):
         return PlainTextResponse(f"{text}\n", status)
     title = HTTPStatus(status).phrase
-    return page(request, "message", title, status, text=text, links=[*links, ("/episodes", "All episodes")])
+    overview = request.app.state.context.frame.overview
+    return page(request, "message", title, status, text=text, links=[*links, overview])

@@ -17,7 +17,14 @@ _LEFT, _TOP, _BOTTOM = 64, 8, 20
 _MOST_POINTS = 600
 
 
-def draw_lines(title: str, unit: str, values: ArrayLike, duration_s: float, name: str = "") -> str:
+def draw_lines(
+    title: str,
+    unit: str,
+    values: ArrayLike,
+    duration_s: float,
+    name: str = "",
+    span: tuple[float, float] | None = None,
+) -> str:
     """Returns a chart of values over time, with a cursor that the page moves.
 
     Args:
@@ -26,10 +33,11 @@ def draw_lines(title: str, unit: str, values: ArrayLike, duration_s: float, name
         values: (T,) values at equal distances in time; NaN is omitted.
         duration_s: time of the last value, seconds.
         name: name of the series, for the page's script.
+        span: ends of the vertical axis, which contain all values; `None` for the range of the values.
     """
     series = np.asarray(values, float)
     finite = series[np.isfinite(series)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    low, high = span or ((float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0))
     low, high = (low - 0.5, high + 0.5) if high - low < 1e-9 else (low, high)
     steps = np.unique(np.linspace(0, len(series) - 1, min(len(series), _MOST_POINTS)).round().astype(int))
     steps = steps[np.isfinite(series[steps])]

@@ -31,6 +31,19 @@ NAVIGATION = (
 """Paths and titles of the pages. The home page `/` shows one of them."""
 
 
+class PageFrame(NamedTuple):
+    """What surrounds the content of a page."""
+
+    place: str
+    """Location of what the pages show."""
+    base: str
+    """Prefix of the paths of the pages."""
+    navigation: tuple[tuple[str, str], ...]
+    """Paths and titles of the pages."""
+    overview: tuple[str, str]
+    """Path and title of the page that lists everything, for messages."""
+
+
 class FarmView(NamedTuple):
     """Content of the farm page at one time."""
 
@@ -65,6 +78,11 @@ class WebContext:
     floors: FloorStore = field(default_factory=FloorStore)
     """Maps of the scenes."""
 
+    @property
+    def frame(self) -> PageFrame:
+        base = self.workspace.base
+        return PageFrame(str(self.workspace.site), base, NAVIGATION, (f"{base}/episodes", "All episodes"))
+
 
 def context_of(request: Request) -> WebContext:
     """Returns the state of the application that received a request."""
@@ -73,7 +91,7 @@ def context_of(request: Request) -> WebContext:
 
 
 def page(request: Request, template: str, title: str, status: int = 200, **values: object) -> Response:
-    """Returns a page of the application.
+    """Returns a page of the application, of a dataset or of a folder of datasets.
 
     Args:
         request: the request.
@@ -83,15 +101,18 @@ def page(request: Request, template: str, title: str, status: int = 200, **value
         values: additional values of the template.
     """
     scope = request.scope
-    place = str(context_of(request).workspace.site)
-    path = f"/{template}" if request.url.path == "/" else request.url.path
-    here = next((at for at, _ in reversed(NAVIGATION) if path == at or path.startswith(f"{at}/")), "")
+    frame: PageFrame = request.app.state.context.frame
+    place, navigation = frame.place, frame.navigation
+    path = scope["path"].removeprefix(scope.get("root_path", ""))
+    path = f"/{template}" if path == "/" else path
+    here = next((at for at, _ in reversed(navigation) if path == at or path.startswith(f"{at}/")), "")
     text = render(
         f"web/{template}.html",
         title=title,
         place=place,
+        base=frame.base,
         run=place.rstrip("/").rpartition("/")[2] or place,
-        navigation=NAVIGATION,
+        navigation=navigation,
         here=here,
         may_change=scope["may_change"],
         key=scope["access"].form_key if scope["may_change"] else "",

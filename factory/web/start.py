@@ -1,4 +1,4 @@
-"""Starts the web page of a dataset: checks the address, chooses the token, and serves until the block ends."""
+"""Starts the web pages of a dataset or of a folder of datasets: address, token, and a server until the block ends."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from pathlib import Path
 
 from anyio import open_file  # noqa: F401 - anyio imports it on first use, which is the first request for a file
 from starlette.routing import BaseRoute
+from starlette.types import ASGIApp
 
 from coordinator.admin import administer as administer_dataset
 from coordinator.protocol.ask import OPERATOR
 from coordinator.protocol.tls import read_credentials
-from coordinator.status.address import parse_address
+from coordinator.status.address import HttpAddress, parse_address
 from coordinator.status.server import HttpServer
 from factory.dataset.marks import Marks
-from factory.dataset.site import Site
+from factory.dataset.site import Site, site_of
 from factory.html import compile_templates
 from factory.web.access import Access
-from factory.web.app import create_app
+from factory.web.app import create_app, create_folder_app
 from factory.web.context import WebContext
 from factory.web.evaluations import Evaluations
 from factory.web.figures.store import StatisticsStore
+from factory.web.folder import DatasetFolder
 from factory.web.frames import FrameStore, first_frames
 from factory.web.pages.farm import read_view
 from factory.web.recent import Recent
@@ -74,17 +76,52 @@ def serve(
     """
     address = parse_address(http, token, is_encrypted=tls is not None)
     access = Access(token or secrets.token_urlsafe(24), reads_openly=token is None)
+    workspace, statistics = Workspace(site, ledger), StatisticsStore(str(site))
+    ask = administer or _administrator(site, ledger, tls)
+    context = make_context(workspace, ask, statistics, evaluations)
+    app = create_app(context, address, access, more_routes)
+    with statistics, _served(app, address, access, tls, is_secret=token is not None) as url:
+        threading.Thread(target=_prepare, args=(context, renders_ahead), name="prepare", daemon=True).start()
+        yield url
+
+
+@contextmanager
+def serve_folder(folder: Path, http: str, token: str | None, tls: Path | None = None) -> Iterator[str]:
+    """Serves the web pages of all datasets in a folder while the context is open; yields the URL of their list.
+
+    Datasets that appear in the folder are listed, too. Arguments and errors are those of `serve`.
+    """
+    address = parse_address(http, token, is_encrypted=tls is not None)
+    access = Access(token or secrets.token_urlsafe(24), reads_openly=token is None)
+
+    def open_context(directory: Path, base: str, thumbnails: ThumbnailStore) -> WebContext:
+        site = site_of(str(directory))
+        ask, statistics = _administrator(site, None, tls), StatisticsStore(str(site))
+        return make_context(Workspace(site, base=base), ask, statistics, thumbnails=thumbnails)
+
+    with DatasetFolder(folder, open_context) as datasets:
+        app = create_folder_app(datasets, address, access)
+        with _served(app, address, access, tls, is_secret=token is not None) as url:
+            threading.Thread(target=compile_templates, args=("web",), name="prepare", daemon=True).start()
+            yield url
+
+
+def _administrator(site: Site, ledger: str | None, tls: Path | None) -> Callable[[AdminRequest], AdminReply]:
+    """Returns the function that asks the running coordinator of a dataset, or changes the ledger if none runs."""
     files, name = read_credentials(tls) if tls else (None, OPERATOR)
 
     def ask(request: AdminRequest) -> AdminReply:
         return administer_dataset(site.state_dir, request, datetime.now(UTC), ledger, name=name, tls=files)
 
-    workspace, statistics = Workspace(site, ledger), StatisticsStore(str(site))
-    context = make_context(workspace, administer or ask, statistics, evaluations)
-    app = create_app(context, address, access, more_routes)
-    with statistics, HttpServer(app, address, "the web page", files) as server:
-        threading.Thread(target=_prepare, args=(context, renders_ahead), name="prepare", daemon=True).start()
-        yield server.url + ("" if token else f"/?token={access.token}")
+    return ask
+
+
+@contextmanager
+def _served(app: ASGIApp, address: HttpAddress, access: Access, tls: Path | None, *, is_secret: bool) -> Iterator[str]:
+    """Serves an application; yields its URL, with the token unless it `is_secret`."""
+    files = read_credentials(tls)[0] if tls else None
+    with HttpServer(app, address, "the web page", files) as server:
+        yield server.url + ("" if is_secret else f"/?token={access.token}")
 
 
 def make_context(
@@ -92,6 +129,7 @@ def make_context(
     administer: Callable[[AdminRequest], AdminReply],
     statistics: StatisticsStore,
     evaluations: Sequence[Path] = (),
+    thumbnails: ThumbnailStore | None = None,
 ) -> WebContext:
     """Returns the shared state of an application.
 
@@ -100,13 +138,14 @@ def make_context(
         administer: function that executes an admin request on the run.
         statistics: figures of the dataset.
         evaluations: directories of `factory eval -o`.
+        thumbnails: cache of thumbnails, which several datasets may share; `None` makes one.
     """
     return WebContext(
         workspace=workspace,
         farm=Recent(lambda: read_view(workspace), _FARM_AGE_S),
         marks=Marks(workspace.site),
         frames=FrameStore(workspace),
-        thumbnails=ThumbnailStore(workspace),
+        thumbnails=thumbnails or ThumbnailStore(),
         administer=administer,
         evaluations=Evaluations(evaluations),
         statistics=statistics,

@@ -15,7 +15,6 @@ from PIL import Image
 
 from factory.dataset.episode import Episode
 from factory.web.frames import TooBusy, encode_jpeg
-from factory.web.workspace import Workspace
 from schemas.dataset.meta import DatasetMeta
 from schemas.terms import Recording
 
@@ -38,12 +37,11 @@ class ThumbnailStore:
     """Thread-safe source of thumbnails: the first colour frames of episodes as JPEG, `THUMBNAIL_PX` square.
 
     Args:
-        workspace: the dataset.
         most_bytes: size of the cache, bytes.
     """
 
-    def __init__(self, workspace: Workspace, most_bytes: int = _MOST_BYTES) -> None:
-        self._workspace, self._most_bytes = workspace, most_bytes
+    def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
+        self._most_bytes = most_bytes
         # one thread, so a page with many thumbnails leaves a rendering process to an episode that plays
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="thumbnail")
         self._lock = threading.Lock()
@@ -51,15 +49,13 @@ class ThumbnailStore:
         self._made: OrderedDict[ThumbnailKey, bytes] = OrderedDict()
         self._bytes = 0
 
-    def encoded(self, episode_id: str) -> Future[bytes]:
-        """Returns the future of a thumbnail; equal requests share one rendering.
+    def encoded(self, episode: Episode) -> Future[bytes]:
+        """Returns the future of the thumbnail of an episode; equal requests share one rendering.
 
         Raises:
-            KeyError: the dataset has no such episode.
             TooBusy: too many thumbnails are waiting.
         """
-        episode = self._workspace.dataset()[episode_id]
-        key = ThumbnailKey(episode_id, episode.summary.content_digest)
+        key = ThumbnailKey(episode.episode_id, episode.summary.content_digest)
         with self._lock:
             if key in self._waiting:
                 return self._waiting[key]
@@ -106,15 +102,20 @@ def dataset_version(meta: DatasetMeta | None) -> str:
     return f"{meta.plan_digest} {meta.created_at}" if meta else ""
 
 
-def thumbnail_urls(rows: Iterable[Mapping[str, Any]], version: str) -> list[str]:
+def thumbnail_urls(rows: Iterable[Mapping[str, Any]], base: str, version: str) -> list[str]:
     """Returns the URL of the thumbnail of each row. It changes with the row, so browsers may keep its content.
 
     Args:
         rows: rows of the table of episodes.
+        base: prefix of the paths of the dataset's pages.
         version: result of `dataset_version`.
     """
     return [
-        f"/episodes/{row['episode_id']}/thumbnail.jpg?of="
-        + hashlib.sha256(f"{version} {sorted(row.items())}".encode()).hexdigest()[:12]
+        f"{base}/episodes/{row['episode_id']}/thumbnail.jpg?of={short_digest(f'{version} {sorted(row.items())}')}"
         for row in rows
     ]
+
+
+def short_digest(text: str) -> str:
+    """Returns 12 hexadecimal digits that change with a text, for the query of a URL whose content browsers keep."""
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -156,13 +156,16 @@ class Workspace:
     Args:
         site: location of the dataset.
         ledger: URL of the ledger; `None` for the ledger of the dataset.
+        base: prefix of the paths of the dataset's pages; empty if the server has no other dataset.
     """
 
-    def __init__(self, site: Site, ledger: str | None = None) -> None:
+    def __init__(self, site: Site, ledger: str | None = None, base: str = "") -> None:
         self.site = site
         """Location of the dataset."""
         self.ledger = ledger
         """URL of the ledger; `None` for the ledger of the dataset."""
+        self.base = base
+        """Prefix of the paths of the dataset's pages; empty if the server has no other dataset."""
         self._listing = threading.Lock()
         self._listed = -float("inf")
         self._packaged: frozenset[str] = frozenset()

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import urlencode
 
 from factory.dataset.site import site_of
-from factory.web.start import serve
+from factory.web.start import serve, serve_folder
 
 
 @dataclass(frozen=True)
@@ -67,5 +67,16 @@ class WebClient:
 def web_page(root: Path | str, **options: Any) -> Iterator[WebClient]:
     """Serves the web page of a dataset on a free port of loopback; `options` are those of `serve`."""
     with serve(site_of(str(root)), "127.0.0.1:0", None, **options) as url:
-        host, _, token = url.removeprefix("http://").partition("/?token=")
-        yield WebClient(host, token)
+        yield _client(url)
+
+
+@contextmanager
+def web_folder(folder: Path, token: str | None = None) -> Iterator[WebClient]:
+    """Serves the datasets of a folder on a free port of loopback."""
+    with serve_folder(folder, "127.0.0.1:0", token) as url:
+        yield _client(url) if token is None else WebClient(url.removeprefix("http://"), token)
+
+
+def _client(url: str) -> WebClient:
+    host, _, token = url.removeprefix("http://").partition("/?token=")
+    return WebClient(host, token)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +26,7 @@ from factory.web.app import all_routes
 from factory.web.pages.farm import read_view
 from factory.web.recent import Recent
 from factory.web.workspace import Workspace
+from schemas.support.geometry import yaw_of
 from schemas.terms import FailReason, Recording
 from tests.builders.browser import axe_violations, chromium, overflow_px, why_no_chromium
 from tests.builders.dataset import make_dataset
@@ -43,6 +45,7 @@ _PAGES = (
         "/farm",
         "/episodes",
         "/episodes/ep_000001",
+        "/pair?first=ep_000001&second=ep_000002",
         "/scenes",
         "/scenes/{scene}",
         "/scenes/{scene}/3d?episode=ep_000001",
@@ -197,6 +200,54 @@ def test_a_played_episode_ends_at_its_last_step_with_the_pixels_of_the_dataset(b
     assert shown == hashlib.sha256(episode.rgb(last).tobytes()).hexdigest()
 
 
+def test_one_slider_moves_two_episodes_of_different_length(browser, recordings):
+    dataset = Dataset(recordings[Recording.STATES])
+    by_length = sorted(dataset, key=len)
+    short, long = by_length[0].episode_id, by_length[-1].episode_id
+    ends = len(dataset[short]) - 1, len(dataset[long]) - 1
+    assert ends[0] < ends[1]
+    with web_page(recordings[Recording.STATES]) as client, tab(browser, client, 390) as page:
+        page.goto(f"{client.url}/episodes/{short}")
+        assert long in page.locator("#choices option").evaluate_all("all => all.map(one => one.value)")
+        page.fill("#beside [name=second]", long)
+        page.click("#beside button")
+        page.wait_for_url(f"**/pair?first={short}&second={long}")
+        sides = page.locator("#player .side")
+        boxes = [sides.nth(place).bounding_box() for place in range(2)]
+        assert boxes[1]["y"] >= boxes[0]["y"] + boxes[0]["height"]  # stacked on a phone
+        page.set_viewport_size({"width": 1400, "height": 900})
+        boxes = [sides.nth(place).bounding_box() for place in range(2)]
+        assert boxes[0]["y"] == boxes[1]["y"]
+        for t in (0, 1, ends[1]):
+            page.locator("#time").evaluate("(time, t) => {time.value = t; time.dispatchEvent(new Event('input'))}", t)
+            page.wait_for_selector(f'#player[data-t="{t}"]')
+            for place, (name, end) in enumerate(zip((short, long), ends, strict=True)):
+                step, side = min(t, end), sides.nth(place)
+                ended = ", ended" if step < t else ""
+                assert side.locator("output").text_content().strip() == f"step {step} of {end}{ended}"
+                assert (
+                    side.locator("img").get_attribute("src").removeprefix(client.url)
+                    == f"/episodes/{name}/frames/{step}.png?kind=rgb"
+                )
+                x, y = (float(value) for value in dataset[name].poses[step, :2])
+                turned = side.locator(".robot").get_attribute("transform")
+                moved = [float(value) for value in re.match(r"translate\((\S+) (\S+)\)", turned).groups()]
+                assert moved == pytest.approx([x, -y], abs=1e-3)
+        page.click("#play")
+        page.wait_for_selector('#play[aria-pressed="false"]')
+        assert page.locator("#time").input_value() == str(ends[1])
+
+
+def test_without_scripts_two_episodes_show_the_frames_of_one_time(client):
+    text = client.ask("/pair?first=ep_000001&second=ep_000003&t=1").text
+    for name in ("ep_000001", "ep_000003"):
+        assert f"/episodes/{name}/frames/1.png?kind=rgb" in text
+    assert "navigation error: planar distance" in text
+    assert client.ask("/pair?first=ep_000001").status == 400
+    assert "needs two episodes" in client.ask("/pair").text
+    assert client.ask("/pair?first=ep_000001&second=ep_99").status == 404
+
+
 def test_states_play_in_small_frames_and_a_paused_player_shows_the_frames_of_the_dataset(browser, recordings):
     episode = Dataset(recordings[Recording.STATES])[0]
     expected = {
@@ -325,6 +376,38 @@ def test_the_keyboard_reaches_content_rows_and_the_player(browser, client):
         page.focus("#play")
         page.keyboard.press("Space")
         page.wait_for_selector('#player:not([data-t="1"])')
+
+
+def robot_pixels(page: Any) -> int:
+    """Returns the number of pixels of the 3D view with the colour of the robot's back or top."""
+    shown = np.asarray(Image.open(io.BytesIO(page.locator("#scene3d").screenshot())).convert("RGB")).astype(int)
+    red, green, blue = shown[..., 0], shown[..., 1], shown[..., 2]
+    return int(np.count_nonzero((red > 100) & (red - green > 60) & (red - blue > 60)))
+
+
+def test_the_3d_view_starts_behind_the_robot_and_cuts_away_what_is_in_front_of_it(browser, recordings):
+    dataset = Dataset(recordings[Recording.STATES])
+    hidden = []
+    with web_page(recordings[Recording.STATES]) as client, tab(browser, client) as page:
+        for episode in dataset:
+            page.goto(f"{client.url}/scenes/{episode.summary.scene}/3d?episode={episode.episode_id}")
+            page.wait_for_selector("#scene3d[data-cut]")
+            away = [float(value) for value in page.locator("#scene3d").get_attribute("data-cut").split(",")]
+            yaw = yaw_of(episode.poses)[0]
+            assert away == pytest.approx([np.cos(yaw), np.sin(yaw)], abs=2e-3)  # the camera is behind and looks ahead
+            page.keyboard.press("Tab")
+            for turned in range(4):  # also from the sides and from ahead
+                shown = robot_pixels(page)
+                assert shown > 1000, (episode.episode_id, turned)
+                page.uncheck("#clear")
+                page.wait_for_selector('#scene3d[data-cut=""]')
+                hidden.append(robot_pixels(page) < shown / 2)
+                page.check("#clear")
+                page.focus("#scene3d")
+                for _ in range(16):
+                    page.keyboard.press("ArrowLeft")
+                page.wait_for_selector('#scene3d:not([data-cut=""])')
+    assert any(hidden)  # without the cut, a wall or an object hides the robot in some view
 
 
 def test_the_3d_view_draws_the_scene_and_turns_with_the_keyboard(browser, client):

@@ -12,10 +12,8 @@ import pytest
 from PIL import Image
 
 from factory.dataset.reader import Dataset
-from factory.dataset.site import site_of
 from factory.web.pages.gallery import PAGE_CARDS
 from factory.web.thumbnails import THUMBNAIL_PX, ThumbnailStore, draw_thumbnail
-from factory.web.workspace import Workspace
 from schemas.terms import Recording
 from tests.builders.archived import ArchivedRun
 from tests.builders.dataset import make_dataset
@@ -92,17 +90,18 @@ def test_the_table_of_another_dataset_has_other_urls(client, tmp_path):
 @pytest.mark.parametrize("record", list(Recording))
 def test_a_thumbnail_is_rendered_once(record, data, recordings, monkeypatch):
     root = data if record is Recording.FRAMES else recordings[record]
-    name, drawn = Dataset(root)[0].episode_id, []
+    dataset, drawn = Dataset(root), []
+    name = dataset[0].episode_id
 
     def draw(episode):
         drawn.append(episode.episode_id)
         return draw_thumbnail(episode)
 
     monkeypatch.setattr("factory.web.thumbnails.draw_thumbnail", draw)
-    store = ThumbnailStore(Workspace(site_of(str(root))))
-    asked = [store.encoded(name) for _ in range(3)]
+    store = ThumbnailStore()
+    asked = [store.encoded(dataset[name]) for _ in range(3)]
     assert len({future.result() for future in asked}) == 1
-    assert store.encoded(name).result() == asked[0].result()
+    assert store.encoded(dataset[name]).result() == asked[0].result()
     assert drawn == [name]
 
 
@@ -116,9 +115,9 @@ def test_the_cache_of_thumbnails_is_bounded_and_an_error_is_not_kept(data, monke
         return np.zeros((8, 8, 3), np.uint8)
 
     monkeypatch.setattr("factory.web.thumbnails.draw_thumbnail", draw)
-    store = ThumbnailStore(Workspace(site_of(str(data))), most_bytes=1)
+    dataset, store = Dataset(data), ThumbnailStore(most_bytes=1)
     with pytest.raises(OSError, match="no graphics"):
-        store.encoded("ep_000001").result()
+        store.encoded(dataset["ep_000001"]).result()
     for name in ("ep_000001", "ep_000001", "ep_000002", "ep_000001"):
-        store.encoded(name).result()
+        store.encoded(dataset[name]).result()
     assert drawn == ["ep_000001", "ep_000001", "ep_000002", "ep_000001"]

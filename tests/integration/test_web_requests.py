@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import json
 import re
@@ -335,3 +336,18 @@ def test_many_requests_are_answered_and_change_nothing(client, data):
         assert client.ask(f"/nothing/{number}").status == 404
     assert client.ask("/").status == 200
     assert {path: path.stat().st_mtime_ns for path in data.rglob("*")} == before
+
+
+def test_a_download_without_its_package_is_answered_with_a_page_that_names_the_command(client, monkeypatch):
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "rerun" else found(name, *rest)
+    )
+    here = "/episodes/ep_000001"
+    reply = client.ask(f"{here}/download/rerun")
+    assert (reply.status, reply.headers["content-type"]) == (503, "text/html; charset=utf-8")
+    for text in (reply.text, client.ask(here).text):
+        assert "the download rerun needs the package rerun, which is not installed; install it: " in text
+        assert "pip install" in text
+    assert f'href="{here}/download/rerun"' not in client.ask(here).text
+    assert client.ask(f"{here}/download/rerun", Accept="*/*").headers["content-type"].startswith("text/plain")

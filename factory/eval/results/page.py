@@ -11,22 +11,20 @@ from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
 from factory.html import data_uri, render
+from factory.html.measures import TITLES
 from factory.stats.statistics import Share
 
 _HEAD = (
     "n",
     "SR, %",
     "any instance, %",
-    "SPL",
-    "soft-SPL",
-    "NE, m",
-    "NE to the centroid, m",
-    "NE to the footprint, m",
-    "OP final",
-    "OP closest",
-    "OP normalised",
-    "TL, m",
-    "steps",
+    *(
+        TITLES[name]
+        for name in (
+            *("spl", "soft_spl", "ne_m", "ne_centroid_m", "ne_surface_m"),
+            *("progress_final", "progress_max", "progress_normalised", "trajectory_length_m", "num_steps"),
+        )
+    ),
     "collision, %",
     "contact, %",
     "timeout, %",
@@ -145,7 +143,7 @@ def comparison_table(comparison: PairedComparison) -> MeasureTable:
         ("kind", "measure", "value"),
         [
             ("rate", [[MeasureCell(name), _share(rate)] for name, rate in rates]),
-            ("mean difference", [[MeasureCell(name), _estimate(value, 3)] for name, value in means]),
+            ("mean difference", [[MeasureCell(TITLES[name]), _estimate(value, 3)] for name, value in means]),
         ],
     )
 

@@ -10,10 +10,18 @@ from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
+from factory.html.measures import TITLES, definitions_of
 from factory.stats.statistics import Share
 from factory.support.terminal import print_table, print_text
 
-_HEAD = ("n", "SR %", "any %", "SPL", "soft-SPL", "NE m", "OP", "coll. %", "timeout %", "fault %")
+_WIDTH = 80
+"""Width of the tables without a terminal, too, characters; wider tables are printed in pieces."""
+_MEANS = ("spl", "ne_m", "soft_spl", "progress_max")
+_HEAD = (
+    *("n", "SR, %"),
+    *(TITLES[name] for name in _MEANS),
+    *("any instance, %", "collision, %", "timeout, %", "policy failure, %"),
+)
 _ALWAYS = {"split", "view"}
 
 
@@ -29,7 +37,7 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
         f"success radius {evaluation.success_radius_m:g} m by {evaluation.success}"
     )
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
-    print_table("\nAll episodes", ("policy", *_HEAD), rows)
+    print_table("\nAll episodes", ("policy", *_HEAD), rows, widest=_WIDTH)
     for by, title in GROUPS.items():
         if all_tables or by in _ALWAYS:
             _print_groups(evaluation.policies, by, title)
@@ -41,9 +49,9 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
             print_text(line)
     for remark in evaluation.remarks:
         print_text(f"note: {remark}")
-    print_text(
-        "rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP: progress at the closest point"
-    )
+    print_text("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals")
+    for name, definition in definitions_of(_HEAD).items():
+        print_text(f"{name}: {definition}")
 
 
 def print_comparison(comparison: PairedComparison) -> None:
@@ -51,12 +59,12 @@ def print_comparison(comparison: PairedComparison) -> None:
     one, other = comparison.first, comparison.second
     print_text(f"{comparison.pairs} episodes run by both policies ({comparison.variant} instruction)")
     rows = [(one, _share(comparison.first_success)), (other, _share(comparison.second_success))]
-    print_table("", ("policy", "SR %"), rows)
+    print_table("", ("policy", "SR, %"), rows, widest=_WIDTH)
     counts = f"both {comparison.both}, only {one} {comparison.only_first}, only {other} {comparison.only_second}"
     print_text(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
-    body = [("success", _estimate(comparison.success_difference, 3))]
-    body += [(name, _estimate(value, 3)) for name, value in comparison.differences.items()]
-    print_table("", (f"{other} minus {one}", "mean, 95 % interval"), body)
+    body = [(TITLES["success"], _estimate(comparison.success_difference, 3))]
+    body += [(TITLES[name], _estimate(value, 3)) for name, value in comparison.differences.items()]
+    print_table(f"\n{other} minus {one}", ("measure", "mean, 95 % interval"), body, widest=_WIDTH)
     if comparison.left_out:
         print_text(f"not compared: {comparison.left_out} episodes run by one policy only")
 
@@ -64,14 +72,14 @@ def print_comparison(comparison: PairedComparison) -> None:
 def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None:
     rows = [(name, policy.policy, *_cells(group)) for name, policy, group in side_by_side(policies, by)]
     if rows:
-        print_table(f"\n{title}", (by, "policy", *_HEAD), rows)
+        print_table(f"\n{title}", (by, "policy", *_HEAD), rows, widest=_WIDTH)
 
 
 def _print_ablations(policies: Sequence[PolicyScores]) -> None:
     rows = list(ablation_rows(policies, _share, _estimate))
     if rows:
-        head = ("policy", "instruction", "episodes", "n", "SR %", "SR difference to the original", "McNemar p")
-        print_table("\nInstruction ablation", head, rows)
+        head = ("policy", "instruction", "episodes", "n", "SR, %", "SR difference to the original", "McNemar p")
+        print_table("\nInstruction ablation", head, rows, widest=_WIDTH)
         for name in policies_without_instruction(policies):
             print_text(f"{name}: does not use the instruction, difference 0 by construction")
 
@@ -80,11 +88,8 @@ def _cells(score: Score) -> tuple[object, ...]:
     return (
         score.n,
         _share(score.success),
+        *(_estimate(getattr(score, name)) for name in _MEANS),
         _share(score.any_instance),
-        _estimate(score.spl),
-        _estimate(score.soft_spl),
-        _estimate(score.ne_m),
-        _estimate(score.progress_max),
         _plain(score.collision),
         _plain(score.timeout),
         _plain(score.policy_failure),

@@ -66,7 +66,7 @@ def _rollouts(material: ReportInput) -> Table:
     for row in material.statistics.splits:
         means = (number(row.ne_mean_m, 3), number(row.tl_mean_m), number(row.tl_median_m))
         rows.append((row.group, str(row.n), *means, number(row.steps_mean, 1), number(row.steps_median, 0)))
-    columns = ("split", "N", "NE", "TL mean", "TL median", "steps mean", "median")
+    columns = ("split", "N", "NE mean", "TL mean", "TL median", "steps mean", "steps median")
     return Table(columns, tuple(rows), "Rollouts by split, metres")
 
 

@@ -41,6 +41,8 @@ def download(request: Request) -> Response:
     if kind not in DOWNLOADS:
         raise HTTPException(404, f"{kind[:40]!r} is not a download; valid: {', '.join(DOWNLOADS)}")
     episode = find_episode(context_of(request), request.path_params["episode_id"])
+    if obstacle := download_obstacles()[kind]:
+        raise HTTPException(503, obstacle)
     if not _making.acquire(timeout=_WAIT_S):
         raise HTTPException(503, "another download is being made; try again", {"retry-after": "30"})
     folder = Path(tempfile.mkdtemp(prefix="factory-web-"))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -23,11 +25,14 @@ from factory.web.forms import read_form
 from factory.web.frames import KINDS, SMALL_PX, FrameKey, TooBusy
 from factory.web.pages.downloads import download, download_obstacles
 from factory.web.pages.find import find_episode
+from factory.web.table import TableQuery
 from schemas.measure import Goal
 from schemas.terms import Recording
 
 _MASKS = 40
 """Maximum number of frames in which the mask of the target is measured."""
+_CHOICES = 40
+"""Maximum number of episodes that the page offers to show beside its own."""
 _MASK_PX = 160
 """Width and height of the frames that are rendered to measure the mask, pixels."""
 
@@ -138,8 +143,7 @@ def show(request: Request) -> Response:
     context = context_of(request)
     episode = find_episode(context, request.path_params["episode_id"])
     last = len(episode) - 1
-    given = request.query_params.get("t", "0")
-    t = min(int(given), last) if given.isascii() and given.isdigit() and len(given) < 9 else 0
+    t = min(step_in(request), last)
     summary, hz = episode.summary, episode.meta.job.task.control_hz
     context.frames.prepare([FrameKey(summary.episode_id, t, "rgb", is_small=False)])
     return page(
@@ -150,17 +154,34 @@ def show(request: Request) -> Response:
         t=t,
         last=last,
         hz=hz,
-        track=_track(episode, t),
-        plots=_plots(episode, hz),
-        facts=_facts(episode),
+        track=track_of(episode, t),
+        plots=plots_of([episode], last / hz)[0],
+        facts=facts_of(episode),
         steps=_steps(episode, last),
         rendered=episode.meta.job.record is not Recording.FRAMES,
         small_px=SMALL_PX,
         mark=context.marks.read().get(summary.episode_id, Mark()),
+        choices=similar_episodes(context, episode),
         neighbours=_neighbours(context, summary.index),
         downloads=download_obstacles(),
         most_note=MOST_NOTE_CHARS,
     )
+
+
+def step_in(request: Request) -> int:
+    """Returns the step in the query of a URL; 0 if there is none, or no valid one."""
+    given = request.query_params.get("t", "0")
+    return int(given) if given.isascii() and given.isdigit() and len(given) < 9 else 0
+
+
+def similar_episodes(context: WebContext, episode: Episode) -> list[tuple[str, str]]:
+    """Returns id and instruction of episodes to show beside an episode: with its target first, then of its scene."""
+    table, summary = context.workspace.table(), episode.summary
+    scene = {"scene": summary.scene}
+    found = [table.select(TableQuery(wanted)) for wanted in ({**scene, "target": summary.target_id}, scene)]
+    rows = [row for positions in found for row in table.rows(positions[: _CHOICES + 1])]
+    names = {row["episode_id"]: row["instruction"] for row in rows if row["episode_id"] != summary.episode_id}
+    return list(names.items())[:_CHOICES]
 
 
 async def mark(request: Request) -> Response:
@@ -172,7 +193,7 @@ async def mark(request: Request) -> Response:
     if len(note) > MOST_NOTE_CHARS:
         raise HTTPException(400, f"the note has {len(note)} characters, at most {MOST_NOTE_CHARS} are allowed")
     await run_in_threadpool(context.marks.write, name, Mark(flagged="flagged" in fields, note=note))
-    return RedirectResponse(f"/episodes/{name}#mark", 303)
+    return RedirectResponse(f"{context.workspace.base}/episodes/{name}#mark", 303)
 
 
 def list_objects(request: Request) -> Response:
@@ -200,7 +221,8 @@ def _neighbours(context: WebContext, index: int) -> list[tuple[str, str]]:
     return [(title, str(names[at])) for title, at in around if 0 <= at < len(names)]
 
 
-def _track(episode: Episode, t: int) -> TrackView:
+def track_of(episode: Episode, t: int) -> TrackView:
+    """Returns the trajectory of an episode on the map, with the robot at step `t`."""
     poses = episode.poses
     yaw = np.degrees(2 * np.arctan2(poses[:, 6], poses[:, 3]))
     rows = np.column_stack([poses[:, 0], -poses[:, 1], -yaw])
@@ -225,21 +247,37 @@ def _points(rows: Any) -> str:
     return " ".join(f"{x:.3f},{y:.3f}" for x, y in rows.tolist())
 
 
-def _plots(episode: Episode, hz: int) -> list[tuple[str, str]]:
-    """Returns title and drawing of each plot over time."""
-    actions, tokens, end_s = episode.actions, episode.tokens, (len(episode) - 1) / hz
-    distance = Goal.of_episode(episode.meta).distances(episode.poses[:, :2])
-    series = (
+def plots_of(episodes: Sequence[Episode], end_s: float) -> list[list[tuple[str, str]]]:
+    """Returns for each episode title and drawing of its plots over time; the same plots have the same axes.
+
+    Args:
+        episodes: the episodes.
+        end_s: end of the time axis, seconds; not before the last step of any episode.
+    """
+    series = [_series(episode) for episode in episodes]
+    plots: list[list[tuple[str, str]]] = [[] for _ in episodes]
+    for same in zip(*series, strict=True):
+        title, unit, _ = same[0]
+        whole = np.concatenate([values for _, _, values in same])
+        span = float(np.min(whole)), float(np.max(whole))
+        for drawn, episode, (_, _, values) in zip(plots, episodes, same, strict=True):
+            steps = round(end_s * episode.meta.job.task.control_hz) + 1
+            padded = np.pad(values, (0, steps - len(values)), constant_values=np.nan)  # it ends before the axis
+            head = title if unit == "token" else f"{title}, {unit}"
+            drawn.append((head, draw_lines(title, unit, padded, end_s, span=span)))
+    return plots
+
+
+def _series(episode: Episode) -> tuple[tuple[str, str, NDArray[np.float64]], ...]:
+    """Returns title, unit and values at each step of what the plots show."""
+    actions, tokens = np.asarray(episode.actions, float), np.asarray(episode.tokens, float)
+    return (
         ("speed v", "m/s", actions[:, 0]),
         ("turn rate w", "rad/s", actions[:, 1]),
-        ("distance to the target", "m", distance),
+        ("distance to the target", "m", Goal.of_episode(episode.meta).distances(episode.poses[:, :2])),
         ("token of v", "token", tokens[:, 0]),
         ("token of w", "token", tokens[:, 1]),
     )
-    return [
-        (title if unit == "token" else f"{title}, {unit}", draw_lines(title, unit, values, end_s))
-        for title, unit, values in series
-    ]
 
 
 def _steps(episode: Episode, last: int) -> list[StepView]:
@@ -257,7 +295,8 @@ def _steps(episode: Episode, last: int) -> list[StepView]:
     ]
 
 
-def _facts(episode: Episode) -> list[tuple[str, str]]:
+def facts_of(episode: Episode) -> list[tuple[str, str]]:
+    """Returns name and value of the facts of an episode; measures have their names of `factory.html.measures`."""
     row = episode.summary
     colour = "" if row.colour == "unknown" else f"{row.colour} "  # an object of several colours has no colour name
     return [

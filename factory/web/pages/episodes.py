@@ -63,7 +63,7 @@ def show(request: Request) -> Response:
 
 def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Response:
     context = context_of(request)
-    marks = context.marks.read()
+    marks, base = context.marks.read(), context.workspace.base
     shown = shown_columns(table.dataset.meta.plan.task.success)
     flagged = {name for name, mark in marks.items() if mark.flagged}
     selected = table.select(query, flagged)
@@ -71,7 +71,7 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
     last = max(0, (len(selected) - 1) // PAGE_ROWS)
     prepare_scenes(context, rows)
     has_pictures = _is_cheap_to_picture(context, table)
-    pictures = thumbnail_urls(rows, dataset_version(table.dataset.meta)) if has_pictures else [""] * len(rows)
+    pictures = thumbnail_urls(rows, base, dataset_version(table.dataset.meta)) if has_pictures else [""] * len(rows)
     return page(
         request,
         "episodes",
@@ -88,11 +88,11 @@ def _show_table(request: Request, query: TableQuery, table: EpisodeTable) -> Res
             )
         ),
         has_pictures=has_pictures,
-        gallery=query_url("/gallery", query, page=0),
-        heads=list(_heads(query, shown)),
+        gallery=query_url(f"{base}/gallery", query, page=0),
+        heads=list(_heads(f"{base}/episodes", query, shown)),
         choices=[(name, table.values(column), query.filters.get(name, "")) for name, column in FILTERS.items()],
         pages=[
-            (text, query_url("/episodes", query, page=at), at == query.page)
+            (text, query_url(f"{base}/episodes", query, page=at), at == query.page)
             for text, at in page_links(query.page, last)
         ],
         last=last,
@@ -126,7 +126,7 @@ def _cells(row: Mapping[str, Any], shown: Sequence[tuple[str, str]]) -> list[tup
     ]
 
 
-def _heads(query: TableQuery, shown: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
+def _heads(path: str, query: TableQuery, shown: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
     """Yields title, link and direction of sorting of each column.
 
     The link is empty if the table cannot be sorted by the column. The direction is empty if the table is not sorted
@@ -135,7 +135,7 @@ def _heads(query: TableQuery, shown: Sequence[tuple[str, str]]) -> Iterator[tupl
     for name, title in shown:
         is_sorted = name == query.sort
         direction = "" if not is_sorted else "descending" if query.descending else "ascending"
-        link = query_url("/episodes", query, page=0, sort=name, descending=is_sorted and not query.descending)
+        link = query_url(path, query, page=0, sort=name, descending=is_sorted and not query.descending)
         yield title, link if name in SORTED else "", direction
 
 

@@ -82,7 +82,8 @@ def read_view(workspace: Workspace) -> FarmView:
     try:
         farm = workspace.farm()
     except FactoryError as error:
-        text = render("web/no_farm.html", trouble=str(error), tables=_tables(workspace), disk=_disk(workspace))
+        disk, tables = _disk(workspace), _tables(workspace)
+        text = render("web/no_farm.html", base=workspace.base, trouble=str(error), tables=tables, disk=disk)
         return FarmView(text, [], is_over=True)
     return FarmView(_draw(workspace, farm), list(farm.failed.items())[:_MAPS], farm.progress.finished)
 
@@ -92,6 +93,7 @@ def _draw(workspace: Workspace, farm: Farm) -> str:
     done = progress.jobs.get("archived", 0)
     return render(
         "web/farm_fragment.html",
+        base=workspace.base,
         progress=progress,
         done=done,
         tiles=_tiles(farm),

@@ -54,9 +54,9 @@ def draw(request: Request, query: TableQuery) -> Response:
         FactoryError: the tables are missing or damaged.
     """
     context = context_of(request)
-    found = _find(request, query)
+    found, base = _find(request, query), context.workspace.base
     last = max(0, (found.total - 1) // PAGE_CARDS)
-    pictures = thumbnail_urls(found.rows, dataset_version(context.workspace.meta()))
+    pictures = thumbnail_urls(found.rows, base, dataset_version(context.workspace.meta()))
     return page(
         request,
         "gallery",
@@ -66,8 +66,8 @@ def draw(request: Request, query: TableQuery) -> Response:
         side_px=THUMBNAIL_PX,
         query=query,
         last=last,
-        table=query_url("/episodes", query, page=0),
-        pages=[(text, query_url("/gallery", query, page=at)) for text, at in page_links(query.page, last)],
+        table=query_url(f"{base}/episodes", query, page=0),
+        pages=[(text, query_url(f"{base}/gallery", query, page=at)) for text, at in page_links(query.page, last)],
     )
 
 
@@ -89,7 +89,7 @@ async def show_thumbnail(request: Request) -> Response:
     """Answers with the thumbnail of an episode. Browsers keep it if the URL names a content (`thumbnail_urls`)."""
     context, name = context_of(request), request.path_params["episode_id"]
     try:
-        future = await asyncio.to_thread(context.thumbnails.encoded, name)
+        future = await asyncio.to_thread(lambda: context.thumbnails.encoded(context.workspace.dataset()[name]))
     except KeyError:
         await asyncio.to_thread(find_episode, context, name)  # names the nearest episode
         raise

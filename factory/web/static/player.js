@@ -1,11 +1,20 @@
-// Plays an episode: updates colour, depth, ids, the robot on the map and the cursors of the plots together.
+// Plays one episode, or two on one time axis: moves frames, robots on maps, and cursors of plots together.
 const player = document.getElementById("player");
-const images = [...player.querySelectorAll("img[data-kind]")];
-const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)];
+const [last, hz] = [Number(player.dataset.last), Number(player.dataset.hz)]; // of the common time axis
 const AHEAD = 12;
 const MOST_LATE_MS = 250;
-const robot = document.getElementById("robot");
-const poses = robot.dataset.poses.split(" ").map((text) => text.split(",").map(Number));
+const episodes = [player, ...player.querySelectorAll("[data-here]")].filter((node) => node.dataset.here).map((node) => ({
+  here: node.dataset.here,
+  isRendered: Boolean(node.dataset.rendered),
+  last: Number(node.dataset.last),
+  hz: Number(node.dataset.hz),
+  step: node.querySelector(".step"),
+  robot: node.querySelector(".robot"),
+  poses: node.querySelector(".robot").dataset.poses.split(" ").map((text) => text.split(",").map(Number)),
+  images: [...node.querySelectorAll("img[data-kind]")],
+}));
+const frames = episodes.flatMap((episode) => episode.images.map((image) => ({ episode, image, kind: image.dataset.kind })));
+const images = frames.map((frame) => frame.image);
 const time = document.getElementById("time");
 const play = document.getElementById("play");
 const clock = document.getElementById("clock");
@@ -17,15 +26,21 @@ let playing = false;
 let turn = 0; // number of the newest playback
 let pace = stride(); // steps from one shown frame to the next
 
+// An episode that is shorter than the axis stays at its last step.
+function stepOf(episode, t) {
+  return Math.min(episode.last, Math.round((t * episode.hz) / hz));
+}
+
 // During playback, images are small, except stored colour frames, which the server sends without decoding them.
-function source(t, kind) {
-  const isSmall = playing && (kind !== "rgb" || player.dataset.rendered);
-  return `${player.dataset.here}${isSmall ? `playback/${t}` : `frames/${t}.png`}?kind=${kind}`;
+function source(t, { episode, kind }) {
+  const isSmall = playing && (kind !== "rgb" || episode.isRendered);
+  const step = stepOf(episode, t);
+  return `${episode.here}${isSmall ? `playback/${step}` : `frames/${step}.png`}?kind=${kind}`;
 }
 
 function load(t) {
   if (!loaded.has(t)) {
-    const parts = images.map((image) => Object.assign(new Image(), { src: source(t, image.dataset.kind) }));
+    const parts = frames.map((frame) => Object.assign(new Image(), { src: source(t, frame) }));
     const ready = Promise.all(parts.map((part) => part.decode())).then(() => parts);
     ready.catch(() => {}); // `show` reports the error when the frame is due
     loaded.set(t, { parts, ready });
@@ -53,7 +68,7 @@ async function show(t) {
     if (shown !== t) return;
     parts.forEach((part, place) => {
       images[place].src = part.src;
-      images[place].alt = `${images[place].dataset.kind} at step ${t}`;
+      images[place].alt = `${frames[place].kind} at step ${stepOf(frames[place].episode, t)}`;
     });
     outline(parts);
   } catch {
@@ -65,8 +80,12 @@ async function show(t) {
 }
 
 function mark(t) {
-  const [x, y, turn] = poses[t];
-  robot.setAttribute("transform", `translate(${x} ${y}) rotate(${turn})`);
+  for (const episode of episodes) {
+    const at = stepOf(episode, t);
+    const [x, y, turn] = episode.poses[at];
+    episode.robot.setAttribute("transform", `translate(${x} ${y}) rotate(${turn})`);
+    if (episode.step) episode.step.value = `step ${at} of ${episode.last}${t * episode.hz > episode.last * hz ? ", ended" : ""}`;
+  }
   for (const chart of document.querySelectorAll("svg.chart[data-left]")) {
     const [left, right] = [Number(chart.dataset.left), Number(chart.dataset.right)];
     const cursor = chart.querySelector(".cursor");
@@ -134,7 +153,7 @@ document.getElementById("steps").hidden = true;
 mark(shown);
 
 // The settings stay while the tab goes from episode to episode.
-for (const control of [speed, loop, outlined]) {
+for (const control of [speed, loop, outlined].filter(Boolean)) {
   const name = control.type === "checkbox" ? "checked" : "value";
   const kept = sessionStorage.getItem(control.id);
   if (kept !== null) control[name] = name === "checked" ? kept === "true" : kept;
@@ -147,6 +166,7 @@ speed.addEventListener("change", () => (pace = stride()));
 const border = document.getElementById("outline");
 
 function outline(parts) {
+  if (!outlined) return;
   border.hidden = !outlined.checked;
   const source = parts[images.findIndex((image) => image.dataset.kind === "ids")];
   const side = source.naturalWidth;
@@ -173,15 +193,15 @@ function outline(parts) {
   pen.putImageData(shown, 0, 0);
   border.dataset.target = found;
 }
-outlined.addEventListener("change", () => show(shown));
-if (outlined.checked) show(shown);
+outlined?.addEventListener("change", () => show(shown));
+if (outlined?.checked) show(shown);
 
 const canvas = document.createElement("canvas");
 const pen = canvas.getContext("2d", { willReadFrequently: true });
 const ids = images.find((image) => image.dataset.kind === "ids");
 let objects = null;
 
-ids.addEventListener("pointermove", async (event) => {
+ids?.addEventListener("pointermove", async (event) => {
   objects ??= fetch(player.dataset.objects).then((reply) => reply.json());
   const names = await objects;
   const box = ids.getBoundingClientRect();
@@ -193,6 +213,6 @@ ids.addEventListener("pointermove", async (event) => {
   const key = [...pen.getImageData(x, y, 1, 1).data.slice(0, 3)].join(",");
   document.getElementById("object").textContent = key === "0,0,0" ? ": nothing" : `: ${names[key] ?? "unknown"}`;
 });
-ids.addEventListener("pointerleave", () => {
+ids?.addEventListener("pointerleave", () => {
   document.getElementById("object").textContent = "";
 });

@@ -16,6 +16,12 @@ const cut = document.getElementById("cut");
 const ceiling = new Plane(new Vector3(0, -1, 0), 0);
 const target = new Vector3();
 const orbit = { turn: 0.8, tilt: 0.9, distance: 10 };
+// what is between camera and robot: behind a plane at the robot, and above the floor
+const inFront = [new Plane(), new Plane(new Vector3(0, -1, 0), floor + 0.01)];
+const CORNERS_M = [[0.2, 0.25], [0.2, -0.25], [-0.61, 0.25], [-0.61, -0.25]]; // of the robot: x forward, y left
+const BEHIND = { turn: -Math.PI / 2, tilt: 0.5, distance: 4.5 }; // turn from the heading of the robot
+const [follow, clear] = ["follow", "clear"].map((id) => document.getElementById(id));
+const materials = new Set(); // of the scene, without the robot
 let renderer, camera, scene, robot, playing = false, step = 0, isWaiting = false;
 
 // the page has x forward, y left, z up; glTF has x right, y up, z backward
@@ -34,10 +40,26 @@ function draw() {
     const offset = new Vector3(flat * Math.sin(orbit.turn), orbit.distance * Math.sin(orbit.tilt), flat * Math.cos(orbit.turn));
     camera.position.copy(target).add(offset);
     camera.lookAt(target);
+    if (robot) cutInFront();
     renderer.render(scene, camera);
     canvas.dataset.step = step;
     canvas.dataset.drawn = Number(canvas.dataset.drawn ?? 0) + 1;
   });
+}
+
+// Hides the parts of the scene that are nearer to the camera than the whole robot, but not the floor.
+function cutInFront() {
+  const away = new Vector3(robot.position.x - camera.position.x, 0, robot.position.z - camera.position.z).normalize();
+  const corners = CORNERS_M.map(([x, y]) => new Vector3(x, 0, -y).applyAxisAngle(new Vector3(0, 1, 0), robot.rotation.y).add(robot.position));
+  const nearest = corners.reduce((one, other) => (away.dot(other) < away.dot(one) ? other : one));
+  inFront[0].setFromNormalAndCoplanarPoint(away, nearest);
+  canvas.dataset.cut = clear.checked ? `${away.x.toFixed(3)},${(-away.z).toFixed(3)}` : "";
+}
+
+function setClear() {
+  for (const material of materials) material.clippingPlanes = clear.checked ? inFront : null;
+  for (const material of materials) material.needsUpdate = true;
+  draw();
 }
 
 function turn(dx, dy) {
@@ -52,8 +74,12 @@ function zoom(factor) {
 }
 
 function place(t) {
-  step = t;
   const [x, y, yaw] = poses[t];
+  if (follow.checked) {
+    target.add(point([x, y])).sub(point(poses[step]));
+    orbit.turn += yaw - poses[step][2];
+  }
+  step = t;
   robot.position.copy(point([x, y]));
   robot.rotation.y = yaw;
   time.value = t;
@@ -75,8 +101,13 @@ function addEpisode() {
   front.position.set(0.14, 0.4, 0);
   robot.add(body, front);
   scene.add(robot);
-  target.copy(point(poses[0]));
-  orbit.distance = Math.max(6, 2 * point(poses[0]).distanceTo(point(poses[poses.length - 1])));
+  const [x, y, yaw] = poses[0];
+  target.copy(point([x, y]));
+  target.y += 0.4;
+  Object.assign(orbit, { ...BEHIND, turn: BEHIND.turn + yaw });
+  for (const material of materials) material.clipIntersection = true;
+  renderer.localClippingEnabled = true;
+  setClear();
 }
 
 function run(begin, first) {
@@ -128,7 +159,8 @@ function listen() {
   if (!poses.length) return;
   play.addEventListener("click", toggle);
   time.addEventListener("input", () => place(Number(time.value)));
-  document.querySelector(".player").hidden = false;
+  clear.addEventListener("change", setClear);
+  for (const part of document.querySelectorAll(".player")) part.hidden = false;
 }
 
 async function start() {
@@ -143,6 +175,7 @@ async function start() {
     scene = new Scene();
     camera = new PerspectiveCamera(50, 1, 0.05, 500);
     const mesh = await readGlb(canvas.dataset.scene);
+    mesh.traverse((part) => part.material && materials.add(part.material));
     const sun = new DirectionalLight(0xffffff, 1.2);
     sun.position.set(0.4, 1, 0.7);
     scene.add(mesh, new HemisphereLight(0xffffff, 0xb0b0b0, 2.2), sun);

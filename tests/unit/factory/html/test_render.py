@@ -46,9 +46,9 @@ def test_only_drawings_and_rendered_templates_are_inserted_unescaped() -> None:
     ]
     assert unescaped == [
         "{{ drawing | safe }}",
-        "<div><h3>{{ title }}</h3>{{ drawing | safe }}</div>",
-        '<div id="live" data-events="/live">{{ fragment | safe }}</div>',
+        '<div id="live" data-events="{{ base }}/live">{{ fragment | safe }}</div>',
         '<div class="table" role="group" aria-label="Attempts over time" tabindex="0">{{ chart | safe }}</div>',
+        '<h3{% if title | define %} title="{{ title | define }}"{% endif %}>{{ title }}</h3>{{ drawing | safe }}',
     ]
 
 
