@@ -157,7 +157,8 @@ class ExchangeSurvey:
         off = np.abs(np.remainder(bearing[:, None] - _HEADINGS[:, None] + math.pi, 2 * math.pi) - math.pi)
         near = in_range[rows, None] & (off <= heading_noise_rad)  # (rows, headings, objects)
         meets = ~(around.is_apart[np.ix_(columns, columns)] | np.eye(len(columns), dtype=bool))
-        choices = near & ~(near[..., None] & meets).any(axis=-2)
+        # a product of matrices is many times faster than a logical product over all pairs, and counts exactly
+        choices = near & (near.astype(np.float32) @ meets.astype(np.float32) == 0)
         place, heading = np.nonzero(choices.sum(axis=-1) >= least)
         poses = np.column_stack([around.points[rows[place]], _HEADINGS[heading]])
         return ExchangeStarts(poses, choices[place, heading])

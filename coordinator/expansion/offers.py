@@ -153,7 +153,7 @@ def _groups(
 def _with_sentences(
     prepared: SceneLanguage, spec: LanguageSpec, camera: CameraConfig, targets: list[Target], starts: ExchangeStarts
 ) -> list[frozenset[int]]:
-    """Returns the groups of objects for which a start is found from which each of them has an instruction."""
+    """Returns the groups of objects for which a start is found from which each of them can be described."""
     found = []
     for choice in np.unique(starts.choices, axis=0):
         chosen = [target for target, is_chosen in zip(targets, choice, strict=True) if is_chosen]
@@ -173,4 +173,4 @@ def _are_told_apart(
 ) -> bool:
     view, rng = look(prepared.graph, pose, camera), np.random.default_rng(spec.seed)
     numbers = [prepared.graph.number_of[target.target_id] for target in targets]
-    return all(composer_of(spec).write(prepared, view, number, False, rng) for number in numbers)
+    return all(composer_of(spec).can_describe(prepared, view, number, rng) for number in numbers)

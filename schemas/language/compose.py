@@ -104,6 +104,14 @@ class Composer:
             drawn[draw_weighted(left, rng)] = None
         return list(drawn)
 
+    def can_describe(self, scene: SceneLanguage, view: SceneView | None, number: int, rng: np.random.Generator) -> bool:
+        """Returns whether a search with all features finds an expression for a target; does not verify a sentence."""
+        seen = None if view is None else ViewFacts(scene.facts, view)
+        return any(
+            self._grouped(self._search(scene, seen, number, code, self.spec.families), number, rng)
+            for code in self._by_language
+        )
+
     def leading_feature(self, rng: np.random.Generator) -> Family | None:
         """Returns the feature that `write` prefers with the same random generator; `None` if all weights are equal."""
         if not self.spec.is_weighted:
