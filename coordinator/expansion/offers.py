@@ -173,4 +173,4 @@ def _are_told_apart(
 ) -> bool:
     view, rng = look(prepared.graph, pose, camera), np.random.default_rng(spec.seed)
     numbers = [prepared.graph.number_of[target.target_id] for target in targets]
-    return all(composer_of(spec).can_describe(prepared, view, number, rng) for number in numbers)
+    return all(composer_of(spec).offers(prepared, view, number, rng) for number in numbers)

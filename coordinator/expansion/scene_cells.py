@@ -143,7 +143,7 @@ class SceneCells:
         may name them. If the target is drawn at the start, they belong to a group of such targets. If the instruction
         must fit one object in view, some starts show them alone; a category without such targets keeps all.
         """
-        permitted = self._permitted(split, tier)
+        permitted = self.permitted(split, tier)
         if self.groups is None:
             clear = [each for each in permitted if self._clear(self.wording.templates(split, each), tier, each)]
             kept = {each.category for each in clear}
@@ -151,7 +151,8 @@ class SceneCells:
         whole = [group for group in self.groups[tier] if are_grouped(permitted, group)]
         return tuple(target for target in permitted if any(target.instance_id in group for group in whole))
 
-    def _permitted(self, split: Split, tier: Tier) -> tuple[Target, ...]:
+    def permitted(self, split: Split, tier: Tier) -> tuple[Target, ...]:
+        """Returns the targets that a cell permits without conditions on the view at the start."""
         categories = categories_of(self.scene, split)
         sides = {} if split.is_held_out else self.sides
         return tuple(

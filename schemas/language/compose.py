@@ -104,20 +104,24 @@ class Composer:
             drawn[draw_weighted(left, rng)] = None
         return list(drawn)
 
-    def can_describe(self, scene: SceneLanguage, view: SceneView | None, number: int, rng: np.random.Generator) -> bool:
-        """Returns whether a search with all features finds an expression for a target; does not verify a sentence."""
+    def offers(
+        self, scene: SceneLanguage, view: SceneView | None, number: int, rng: np.random.Generator
+    ) -> set[frozenset[Family]]:
+        """Returns the sets of features with which a target can be described; does not verify a sentence."""
         seen = None if view is None else ViewFacts(scene.facts, view)
-        return any(
-            self._grouped(self._search(scene, seen, number, code, self.spec.families), number, rng)
-            for code in self._by_language
-        )
+        searches = [self._search(scene, seen, number, code, self.spec.families) for code in self._by_language]
+        return {group for search in searches for group in self._grouped(search, number, rng)}
 
     def leading_feature(self, rng: np.random.Generator) -> Family | None:
-        """Returns the feature that `write` prefers with the same random generator; `None` if all weights are equal."""
+        """Returns the feature for which a start is searched; `write` prefers it with the same random generator.
+
+        `None` if its weight is not above the mean; many starts permit some feature of little weight.
+        """
         if not self.spec.is_weighted:
             return None
         draw_weighted(self.spec.languages, rng)
-        return self._ranked_families(0, rng)[0]
+        leading, shares = self._ranked_families(0, rng)[0], self.spec.feature_shares
+        return leading if shares[leading] * len(shares) > 1 else None
 
     def write(
         self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator

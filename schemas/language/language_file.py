@@ -25,6 +25,9 @@ from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml
 
+LED_STARTS = 6
+"""Number of starts of an episode that are rejected because the sentence lacks the feature that its weight selected."""
+
 
 def _equal_shares(given: object) -> object:
     """Returns weights of 1 for a list of names, and anything else unchanged."""

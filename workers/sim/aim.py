@@ -14,6 +14,7 @@ from schemas.instruction.start_view import start_view_findings
 from schemas.job import Job
 from schemas.language.expression import Family
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.language_file import LED_STARTS
 from schemas.language.question.meaning import Question
 from schemas.measure import Goal, target_in_view
 from schemas.scene import SceneInfo, Target
@@ -24,9 +25,6 @@ from workers.geometry.pose import Pose
 from workers.planning import Waypoint
 from workers.render import Renderer, as_partial
 from workers.sim.context import LoadedScene
-
-_LED_STARTS = 6
-"""Number of starts that are rejected because the sentence lacks the feature that its weight selected."""
 
 
 def write_instruction(job: Job, scene: LoadedScene, start: Pose) -> Instruction | None:
@@ -172,7 +170,7 @@ class SentenceSearch:
             return False
         drawn = sentences[0] if job.choice is None else job.choice.of(sentences)
         is_led = self._leading is None or (drawn is not None and self._leading in drawn.named_features)
-        if is_led or len(self._rejected) == _LED_STARTS:
+        if is_led or len(self._rejected) == LED_STARTS:
             return True
         self._rejected.append(pose)
         return False
@@ -187,9 +185,7 @@ def _leading_feature(job: Job) -> Family | None:
         return None
     from schemas.language.compose import composer_of
 
-    leading = composer_of(job.language).leading_feature(job.language_rng())
-    shares = job.language.feature_shares
-    return leading if leading is not None and shares[leading] * len(shares) > 1 else None
+    return composer_of(job.language).leading_feature(job.language_rng())
 
 
 def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
