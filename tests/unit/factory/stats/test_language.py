@@ -247,7 +247,12 @@ def test_shares_of_features_and_patterns_are_counted_beside_the_shares_that_the_
     found = summarise_language("data", "run", ["office"], 5, views, spec=spec)
     near, ordinal = found.features
     assert (near.feature, near.asked, near.largest, counted(near.realised)) == ("near", 0.75, None, (3, 5))
-    assert (ordinal.feature, ordinal.asked, ordinal.largest, counted(ordinal.realised)) == ("ordinal", 0.25, 0.4, (2, 5))
+    assert (ordinal.feature, ordinal.asked, ordinal.largest, counted(ordinal.realised)) == (
+        "ordinal",
+        0.25,
+        0.4,
+        (2, 5),
+    )
     assert [(row.pattern, row.realised.count) for row in found.patterns] == [
         *(("en_terse_1", 3), ("en_terse_2", 1), ("en_terse_0", 1))
     ]
