@@ -6,6 +6,7 @@ Does not format errors for a terminal and does not define exit codes; the CLI ma
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Self
 
 
 class FactoryError(Exception):
@@ -44,8 +45,12 @@ class Findings(WorldError):
     """Error that lists all findings, not only the first."""
 
     def __init__(self, what: str, findings: Sequence[str]) -> None:
-        self.findings = tuple(findings)
+        self.what, self.findings = what, tuple(findings)
         super().__init__(f"{what}:\n" + "\n".join(f"  - {finding}" for finding in self.findings))
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str, tuple[str, ...]]]:
+        # without this, an error of a child process cannot be unpickled, which breaks its pool: "a process died"
+        return type(self), (self.what, self.findings)
 
 
 class InvalidBundle(Findings):

@@ -1,9 +1,9 @@
-"""Searches a scene for starts from which several objects of one category could be the target. Renders nothing.
+"""Searches a scene for starts with a required view: several objects that could be the target, or the target alone.
 
-The starts are on a lattice over the connected floor, with evenly spaced headings, and visibility is judged by lines of
-sight on the grid. So a start is a proposal: the worker moves it a little, and tests its image.
+Renders nothing. The starts are on a lattice over the connected floor, with evenly spaced headings, and visibility is
+judged by lines of sight on the grid. So a start is a proposal: the worker moves it a little, and tests its image.
 
-Design: docs/design/starts.md#searched-starts.
+Design: docs/design/starts.md#searched-starts and docs/design/starts.md#targets-shown-alone.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 
 from schemas.config import TaskConfig
 from schemas.language.graph.scene_graph import SceneGraph
-from schemas.language.graph.view import have_sight
+from schemas.language.graph.view import free_lines, have_sight, line_ends
+from schemas.language.thresholds import SHOWN
 from schemas.measure import Goal
 from schemas.scene import CompiledScene, Target
 from schemas.support import portable
@@ -27,6 +28,8 @@ STEP_M = 0.25
 """Distance between neighbouring points of the lattice, metres."""
 STEP_RAD = math.radians(10)
 """Angle between neighbouring headings, radians."""
+_CLEAR_STEP_M = 0.5
+"""Distance between neighbouring points of the lattice for shares of starts, metres; a share needs fewer points."""
 _HEADINGS = np.arange(-math.pi, math.pi - STEP_RAD / 2, STEP_RAD)
 _FARTHEST_M = max(TIER_RANGE_M[tier][1] for tier in (Tier.NEAR, Tier.MID))
 
@@ -60,6 +63,63 @@ class _Surroundings:
     """(P, K) directions to the centroids, radians."""
     is_apart: Bools
     """(K, K) pairs of different objects whose success regions have no point in common."""
+
+
+class ClearSurvey:
+    """Shares of the starts for one category from which an object is in view, and some others of the category are not.
+
+    Args:
+        scene: compiled scene.
+        graph: its scene graph.
+        category: name of the category.
+        fov_rad: field of view of the camera, radians.
+    """
+
+    def __init__(self, scene: CompiledScene, graph: SceneGraph, category: str, fov_rad: float) -> None:
+        self._targets = [each for each in scene.info.targets if each.category == category]
+        self._points = _lattice(scene, _CLEAR_STEP_M)
+        numbers = np.array([graph.number_of[each.target_id] for each in self._targets])
+        shape = len(self._points), len(numbers)
+        places = np.indices(shape).reshape(2, -1)
+        free = free_lines(graph, self._points[places[0]], numbers[places[1]])
+        self._free: Bools = free.reshape(*shape, -1)
+        """(P, K, 5) whether no obstacle is on each line of sight from a point to an object."""
+        ends = line_ends(graph, numbers) - self._points[:, None, None]
+        self._bearing: Floats = portable.arctan2(ends[..., 1], ends[..., 0])
+        self._half_rad = fov_rad / 2
+
+    def share(
+        self,
+        target: Target,
+        others: frozenset[int],
+        range_m: tuple[float, float],
+        noise_rad: float,
+        needs_sight: bool,
+        task: TaskConfig,
+    ) -> float:
+        """Returns the share of the starts, 0..1, that have the target in view and none of the other objects.
+
+        Args:
+            target: an object of the category.
+            others: ids of other objects of the category.
+            range_m: smallest and largest distance of a start by the success measure, metres.
+            noise_rad: largest angle between the heading and the direction to the target, radians.
+            needs_sight: whether only starts with a line of sight to the target are counted as starts.
+            task: task with the success measure.
+        """
+        own = self._targets.index(target)
+        rest = np.array([place for place, each in enumerate(self._targets) if each.instance_id in others], np.intp)
+        distance = Goal.of(target, task).distances(self._points)
+        is_seen = self._free[:, own].mean(axis=-1) >= SHOWN
+        is_in_range = (distance >= range_m[0]) & (distance <= range_m[1])
+        rows = np.flatnonzero(is_in_range & is_seen)
+        starts = len(rows) if needs_sight else int(is_in_range.sum())
+        turns = np.arange(-noise_rad, noise_rad + STEP_RAD / 2, STEP_RAD)
+        heading = self._bearing[rows, own, 0, None] + turns  # (rows, turns)
+        bearing = self._bearing[np.ix_(rows, rest)]
+        off = np.abs(np.remainder(bearing[:, None] - heading[..., None, None] + math.pi, 2 * math.pi) - math.pi)
+        shows_other = (self._free[np.ix_(rows, rest)][:, None] & (off <= self._half_rad)).any(axis=(-1, -2))
+        return float((~shows_other).sum()) / (starts * len(turns)) if starts else 0.0
 
 
 class ExchangeSurvey:
@@ -97,7 +157,8 @@ class ExchangeSurvey:
         off = np.abs(np.remainder(bearing[:, None] - _HEADINGS[:, None] + math.pi, 2 * math.pi) - math.pi)
         near = in_range[rows, None] & (off <= heading_noise_rad)  # (rows, headings, objects)
         meets = ~(around.is_apart[np.ix_(columns, columns)] | np.eye(len(columns), dtype=bool))
-        choices = near & ~(near[..., None] & meets).any(axis=-2)
+        # a product of matrices is many times faster than a logical product over all pairs, and counts exactly
+        choices = near & (near.astype(np.float32) @ meets.astype(np.float32) == 0)
         place, heading = np.nonzero(choices.sum(axis=-1) >= least)
         poses = np.column_stack([around.points[rows[place]], _HEADINGS[heading]])
         return ExchangeStarts(poses, choices[place, heading])
@@ -149,10 +210,10 @@ def _have_pair(distance: Floats, bearing: Floats, is_apart: Bools, heading_noise
     return has_pair
 
 
-def _lattice(scene: CompiledScene) -> Floats:
+def _lattice(scene: CompiledScene, step_m: float = STEP_M) -> Floats:
     """Returns the points (P, 2) of the lattice on the connected floor, metres."""
     resolution_m = scene.info.grid_resolution_m
-    step = max(1, round(STEP_M / resolution_m))
+    step = max(1, round(step_m / resolution_m))
     first = step // 2
     rows, columns = np.nonzero(scene.reachable[first::step, first::step])
     cells = np.column_stack([columns, rows]).astype(np.float64) * step + first + 0.5

@@ -152,7 +152,7 @@ def _expand_scene(
         target_id = least_used([target.target_id for target in options], targets, rng)
         target = next(option for option in options if option.target_id == target_id)
         colour = wording.colour_of(target)
-        template_id = least_used(wording.templates(split, target), templates, rng)
+        template_id = least_used(cells.templates(split, tier, target), templates, rng)
         episode = _episode(
             cells.scene.name,
             tier,
@@ -183,7 +183,7 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
         same_category = ()
     fresh = [target for target in same_category or options if target.target_id != former.target_id]
     target = _draw(fresh or options, rng)
-    colour, templates = cells.wording.colour_of(target), cells.wording.templates(former.split, target)
+    colour, templates = cells.wording.colour_of(target), cells.templates(former.split, former.tier, target)
     if former.template_id not in templates:
         template_id = _draw(templates, rng)
     elif fresh:

@@ -5,7 +5,7 @@ The module does not assign instances of held-out categories: only the split `tes
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from enum import StrEnum
 
 import numpy as np
@@ -32,6 +32,9 @@ Sides = Mapping[str, Side]
 """Mapping of target id to side, for the instances of seen categories."""
 Groups = Mapping[Tier, tuple[frozenset[int], ...]]
 """Sets of ids of objects that could be the target from one start, by tier."""
+NotAlone = Set[tuple[int, Tier, bool]]
+"""Ids of objects with a tier in which hardly any start shows them without the others that their instruction fits, and
+whether this instruction names the colour."""
 
 
 def side_of(split: Split) -> Side:

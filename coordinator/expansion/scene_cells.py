@@ -10,7 +10,16 @@ from functools import cached_property
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cells, cells
 from coordinator.expansion.far_tiers import with_far_tiers
-from coordinator.expansion.instances import Groups, Side, Sides, are_grouped, side_of, sides_of, startable_tiers
+from coordinator.expansion.instances import (
+    Groups,
+    NotAlone,
+    Side,
+    Sides,
+    are_grouped,
+    side_of,
+    sides_of,
+    startable_tiers,
+)
 from schemas.instruction.referents import referents
 from schemas.instruction.templates import FROM_START, needs_colour, say_category, templates_for
 from schemas.layouts import LayoutPlan
@@ -100,6 +109,27 @@ class SceneCells:
 
         return offered_groups(self.plan, self.entry)
 
+    @cached_property
+    def never_alone(self) -> NotAlone:
+        """Objects that hardly any start shows alone; empty unless the plan requires this."""
+        if self.plan.instructions.unique != "view":
+            return frozenset()
+        from coordinator.expansion.offers import never_alone  # imported here, because it loads the grammars
+
+        return never_alone(self.plan, self.scene, self.entry) or frozenset()
+
+    def templates(self, split: Split, tier: Tier, target: Target) -> tuple[str, ...]:
+        """Returns the ids of the templates that a cell may use for a target.
+
+        They exclude those that fit other objects in nearly every view of the target, unless all do.
+        """
+        permitted = self.wording.templates(split, target)
+        return self._clear(permitted, tier, target) or permitted
+
+    def _clear(self, templates: tuple[str, ...], tier: Tier, target: Target) -> tuple[str, ...]:
+        number = target.instance_id
+        return tuple(each for each in templates if (number, tier, needs_colour(each)) not in self.never_alone)
+
     @property
     def present(self) -> frozenset[str]:
         """Categories with a target that an instruction may name and that the robot can reach."""
@@ -110,15 +140,19 @@ class SceneCells:
         """Returns the permitted targets of a cell.
 
         The split permits their category and side, they have a start pose for the expert in the tier, and an instruction
-        may name them. If the target is drawn at the start, they belong to a group of such targets.
+        may name them. If the target is drawn at the start, they belong to a group of such targets. If the instruction
+        must fit one object in view, some starts show them alone; a category without such targets keeps all.
         """
-        permitted = self._permitted(split, tier)
+        permitted = self.permitted(split, tier)
         if self.groups is None:
-            return permitted
+            clear = [each for each in permitted if self._clear(self.wording.templates(split, each), tier, each)]
+            kept = {each.category for each in clear}
+            return tuple(each for each in permitted if each in clear or each.category not in kept)
         whole = [group for group in self.groups[tier] if are_grouped(permitted, group)]
         return tuple(target for target in permitted if any(target.instance_id in group for group in whole))
 
-    def _permitted(self, split: Split, tier: Tier) -> tuple[Target, ...]:
+    def permitted(self, split: Split, tier: Tier) -> tuple[Target, ...]:
+        """Returns the targets that a cell permits without conditions on the view at the start."""
         categories = categories_of(self.scene, split)
         sides = {} if split.is_held_out else self.sides
         return tuple(

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import expand
 from coordinator.expansion.plan_file import shrink
+from coordinator.expansion.scene_cells import each_scene
 from schemas.instruction.referents import referents, referents_of
 from schemas.plan import Plan
+from schemas.terms import Tier
 
 MOST_SUMMARISED = 6_000
 """Largest number of expanded episodes; a larger plan is reduced to it in the same proportions."""
@@ -44,7 +46,7 @@ class PlanSummary:
 
 
 def summarise(plan: Plan, catalog: Catalog) -> PlanSummary:
-    """Returns the summary of a plan, of at most `MOST_SUMMARISED` episodes.
+    """Returns the summary of a plan, of at most `MOST_SUMMARISED` episodes; omits layouts that the catalog lacks.
 
     Raises:
         InvalidPlan: a cell has no target that its tier can reach.
@@ -65,10 +67,42 @@ def summarise(plan: Plan, catalog: Catalog) -> PlanSummary:
             if plan.instructions.unique == "view" and (spec.scene, spec.category) not in exempt:
                 shown_alone += count
     return PlanSummary(
-        part.episodes,
+        specs.total(),
         dict(categories.most_common()),
         templates=dict(sorted(templates.items())),
         ambiguous=ambiguous,
         shown_alone=shown_alone,
         distractors=dict(sorted(distractors.items())),
     )
+
+
+@dataclass(frozen=True)
+class OfferRow:
+    """Objects of a category that can be the target of the planned episodes of a scene in a tier."""
+
+    scene: str
+    """Scene or layout."""
+    tier: Tier
+    category: str
+    objects: int
+    """Number of objects that a cell of the plan may name."""
+    reachable: int
+    """Number of objects with a start in the tier, whatever the start shows."""
+    groups: int | None
+    """Number of groups of objects that could be the target from one start; `None` if the plan names its targets."""
+
+
+def offer_rows(plan: Plan, catalog: Catalog) -> list[OfferRow]:
+    """Returns what each scene offers, ordered by scene, tier and category; omits layouts that the catalog lacks."""
+    rows = []
+    for cells in each_scene(plan, catalog):
+        for tier in dict.fromkeys(tier for _, tier in cells.quota):
+            splits = [split for split, each in cells.quota if each is tier]
+            named = {target for split in splits for target in cells.pool(split, tier)}
+            reachable = {target for split in splits for target in cells.permitted(split, tier)}
+            for category in sorted({target.category for target in reachable}):
+                ids = {each.instance_id for each in reachable if each.category == category}
+                groups = None if cells.groups is None else sum(group <= ids for group in cells.groups[tier])
+                objects = sum(each.category == category for each in named)
+                rows.append(OfferRow(cells.scene.name, tier, category, objects, len(ids), groups))
+    return rows

@@ -108,7 +108,7 @@ def _wording_findings(job: Job, sentence: Instruction) -> list[str]:
     if sentence.held_out != (job.split.is_paraphrased):
         findings.append(f"pattern {sentence.template_id} does not belong to split {job.split}")
     families = {str(family) for family in job.language.families}
-    surplus = sorted(set(filter(None, sentence.features.split(","))) - families)
+    surplus = sorted(sentence.named_features - families)
     if surplus:
         findings.append(f"features {', '.join(surplus)} are not planned")
     if (sentence.kind is InstructionKind.FALSE_PREMISE) != job.is_false_premise:

@@ -34,16 +34,16 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     """Show a plan's quotas, categories, templates and ambiguity.
 
     PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: demo. Files named in the
-    plan must exist. Categories, templates, ambiguity and the share of far starts around a corner are shown only if
-    all scenes are built and support the plan. For a plan with layouts, only the categories of the layouts are shown,
-    except with balance = "instances".
+    plan must exist. Categories, templates, ambiguity, expected features of verified instructions and the share of far
+    starts around a corner are shown only if all scenes are built and support the plan. Of layouts, those that are
+    built count.
     """
     from coordinator.expansion.balance import planned_categories
     from coordinator.expansion.plan_file import load_plan
     from coordinator.expansion.possible import find_impossible
     from coordinator.expansion.scene_cells import each_scene
-    from coordinator.expansion.sentences import find_missing_instructions, sample_instructions
-    from coordinator.expansion.summary import summarise
+    from coordinator.expansion.sentences import find_missing_instructions, forecast_language, sample_instructions
+    from coordinator.expansion.summary import offer_rows, summarise
     from factory.runs import plan_text
     from factory.runs.catalog import find_built, require_files
     from factory.runs.estimate import estimate_run
@@ -54,10 +54,12 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
     catalog, fixed = find_built(plan, scene_cache()), _without_families(plan)
-    has_families = len(fixed.scenes) < len(plan.scenes)
     unknown = [scene.name for scene in fixed.scenes if scene.name not in catalog]
     mistakes = None if unknown else find_impossible(fixed, catalog)
-    content = summarise(plan, catalog) if mistakes == [] and not has_families else None
+    is_known = mistakes == [] and bool(catalog)
+    content = summarise(plan, catalog) if is_known else None
+    forecast = forecast_language(plan, catalog) if is_known and plan.language is not None else None
+    offers = offer_rows(plan, catalog) if is_known else []
     in_layouts = dict(planned_categories(plan).most_common())
     mistakes = find_missing_instructions(fixed, each_scene(fixed, catalog)) if mistakes == [] else mistakes
     samples = [] if content is None else sample_instructions(plan, catalog)
@@ -66,21 +68,20 @@ def show(plan_name: str, changes: PlanChanges, as_json: bool) -> None:
         quotas = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": plan_text.cell_rows(plan)}
         drawn = None if content is None else plan_text.content_data(content) | {"far_corner_shares": corners}
         checks = {"categories_in_layouts": in_layouts, "mistakes": mistakes, "not_built": unknown, "samples": samples}
-        print_json(quotas | {"content": drawn, "estimate": asdict(estimate_run(plan))} | checks)
+        features = None if plan.language is None else plan_text.feature_data(plan.language, forecast)
+        expected = {"features": features, "offers": [asdict(row) for row in offers]}
+        print_json(quotas | {"content": drawn, "estimate": asdict(estimate_run(plan))} | checks | expected)
         return
     plan_text.print_plan(plan)
     if content is not None:
         plan_text.print_content(plan, content)
-    if samples:
-        kind = (
-            "templates; they may fit several objects"
-            if plan.language is None
-            else "verified; each fits the target only"
-        )
-        print_text(f"instructions ({kind}), for example:")
-        for text in samples:
-            print_text(f"  {text}")
-    if has_families:
+    if plan.language is not None:
+        plan_text.print_language(plan, plan.language, content, forecast)
+    if any(row.objects < row.reachable or row.groups is not None for row in offers):
+        plan_text.print_offers(offers)
+    plan_text.print_samples(plan, samples)
+    if len(fixed.scenes) < len(plan.scenes):
+        plan_text.print_built_layouts(plan, catalog)
         plan_text.print_layout_categories(in_layouts)
     if corners:
         plan_text.print_corners(corners)

@@ -19,7 +19,7 @@ from factory.dataset.packages import ScenePackage
 from factory.dataset.questions import QUESTIONS_SCHEMA, question_rows
 from factory.dataset.reader import Dataset
 from schemas.config import CameraConfig
-from schemas.language.compose import Composer
+from schemas.language.compose import Composer, composer_of
 from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
 from schemas.language.instruction import Instruction, InstructionKind
@@ -208,7 +208,8 @@ class PartWriter:
     def _add(self, start: LanguageStart, episode: Episode | None) -> None:
         kinds, instructions = self._task.spec.kinds, []
         if TextKind.GOAL in kinds:
-            instructions = instructions_of(start, self._scene, self._composer, self._task.camera)
+            composer = composer_of(self._task.spec.of_episode(start.index))
+            instructions = instructions_of(start, self._scene, composer, self._task.camera)
         routes = self._routes(start, episode) if episode is not None and TextKind.ROUTE in kinds else []
         number = self._scene.graph.number_of[start.target_id]
         route_rows = [

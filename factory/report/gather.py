@@ -14,7 +14,7 @@ from factory.runs.scene_packages import find_package
 from factory.stats import compute_statistics
 from factory.stats.rollouts import by_measure
 from factory.stats.rows import MOST_OPENED, Rows, format_error, read_rows, spread_evenly
-from factory.stats.views import read_fits, read_view
+from factory.stats.views import RewrittenText, read_rewritten, read_view
 from factory.visualize.floor_map import FloorMap, map_of
 from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
@@ -53,7 +53,7 @@ def gather(
     """
     rows = read_rows(root)
     chosen: list[EpisodeSummary] = []
-    fits = read_fits(root)
+    rewritten = read_rewritten(root)
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
         opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, most_opened)}
@@ -63,7 +63,9 @@ def gather(
     if chosen:
         # sorted by scene, so each scene is prepared only once
         for done, row in enumerate(sorted(chosen, key=lambda row: row.scene_sha256), 1):
-            _read_drive(root, row, is_sample=row.episode_id in shown, infos=infos, fits=fits, drives=drives, rows=rows)
+            _read_drive(
+                root, row, is_sample=row.episode_id in shown, infos=infos, rewritten=rewritten, drives=drives, rows=rows
+            )
             on_progress(done, len(chosen))
         drives.views.sort(key=lambda view: view.row.index)
         drives.samples.sort(key=lambda sample: sample.row.index)
@@ -77,7 +79,7 @@ def _read_drive(
     row: EpisodeSummary,
     is_sample: bool,
     infos: Mapping[str, SceneInfo],
-    fits: Mapping[str, int],
+    rewritten: Mapping[str, RewrittenText],
     drives: Drives,
     rows: Rows,
 ) -> None:
@@ -91,7 +93,7 @@ def _read_drive(
         np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
         drives.tracks[row.episode_id] = track
         try:
-            view = read_view(episode, infos, fits)
+            view = read_view(episode, infos, rewritten)
             samples = [_best_frame(episode)] if is_sample else []
         except ArchiveCorrupt as error:
             rows.add_damage(name, f"skipped in the frames and the instructions: {format_error(error, root)}")

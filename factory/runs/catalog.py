@@ -18,7 +18,7 @@ from coordinator.expansion.possible import find_impossible
 from coordinator.expansion.scene_cells import each_scene
 from coordinator.expansion.sentences import find_missing_instructions
 from factory.dataset.packages import light_file, package_file, packages_by_scene
-from factory.runs.layouts import LayoutBuilds, build_layouts
+from factory.runs.layouts import LayoutBuilds, build_layouts, find_layouts
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
@@ -201,12 +201,13 @@ def with_light(plan: Plan, catalog: Catalog) -> Catalog:
 
 
 def find_built(plan: Plan, cache: Path) -> Catalog:
-    """Returns the scenes of a plan whose current version is in the cache; builds none.
+    """Returns the scenes of a plan whose current version is in the cache, also the layouts that a run would use.
 
-    Layouts of families are omitted, because only a build finds their seeds.
+    Builds none.
     """
-    packages = {part.name: _find(part, cache) for part in plan.parts}
-    return {name: read_entry(path) for name, path in packages.items() if path is not None}
+    fixed = {part.name: _find(part, cache) for part in plan.parts if not isinstance(part, LayoutPlan)}
+    packages = {name: path for name, path in fixed.items() if path is not None} | find_layouts(plan, cache)
+    return {name: read_entry(path) for name, path in packages.items()}
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:
@@ -242,8 +243,6 @@ def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:
 
 
 def _find(scene: ScenePlan, cache: Path) -> Path | None:
-    if isinstance(scene, LayoutPlan):
-        return None
     book, chosen = _edits(scene)
     if scene.file is None:
         path = package_path(

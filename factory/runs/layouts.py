@@ -14,7 +14,7 @@ from pathlib import Path
 from coordinator.expansion.catalog import read_entry
 from coordinator.expansion.possible import faults_of
 from coordinator.expansion.scene_cells import scene_cells
-from factory.scenes.build import build_scene, rules_of
+from factory.scenes.build import build_scene, package_path, rules_of
 from factory.scenes.rules import load_rules
 from factory.support.task_pool import run_tasks
 from schemas.errors import InvalidPlan, LayoutError
@@ -76,6 +76,23 @@ def build_layouts(plan: Plan, names: Collection[str], cache: Path, builds: Layou
         yield built
     if builds.stop.is_set():
         raise KeyboardInterrupt
+
+
+def find_layouts(plan: Plan, cache: Path) -> dict[str, Path]:
+    """Returns the packages of the layouts of a plan that a run would use and that are in the cache; builds none."""
+    found: dict[str, Path] = {}
+    for part in plan.parts:
+        if not isinstance(part, LayoutPlan):
+            continue
+        rules = None if part.rules is None else load_rules(Path(part.rules))
+        for seed in part.seeds:
+            path = package_path(part.family.name, seed, cache, rules, called=part.name)
+            if not path.exists():
+                break  # a run would build this seed first
+            if not any(faults_of(scene_cells(plan, part, read_entry(path)), part.name)):
+                found[part.name] = path
+                break
+    return found
 
 
 def _require_categories(plan: Plan) -> None:

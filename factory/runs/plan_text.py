@@ -14,7 +14,8 @@ from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import PlannedJob, expand, to_job
 from coordinator.expansion.nearest import NearestPlan
 from coordinator.expansion.plan_file import shrink
-from coordinator.expansion.summary import MOST_SUMMARISED, PlanSummary
+from coordinator.expansion.sentences import LanguageForecast
+from coordinator.expansion.summary import MOST_SUMMARISED, OfferRow, PlanSummary
 from factory.runs.estimate import describe_estimate, estimate_run
 from factory.support.terminal import print_table, print_text
 from schemas.instruction.templates import TEMPLATES
@@ -83,15 +84,14 @@ def content_data(content: PlanSummary) -> dict[str, Any]:
 
 
 def print_content(plan: Plan, content: PlanSummary) -> None:
-    """Prints the categories, templates and ambiguity of a plan."""
+    """Prints the categories of a plan and, without a language block, its templates and their ambiguity."""
     total = content.episodes
     if total < plan.episodes:
-        print_text(f"categories, templates and ambiguity of the plan reduced to {total} episodes:")
+        print_text(f"content of {total} of {plan.episodes} episodes, those of built scenes, at most {MOST_SUMMARISED}:")
     rows = [(name, count, 100 * count / total) for name, count in content.categories.items()]
     print_table("", ("category", "episodes", "share %"), rows)
     print_text(f"share of the three most frequent categories: {content.top_three_share:.1%}")
     if plan.language is not None:
-        _print_language(plan.language, content)
         return
     texts = [(name, TEMPLATES[name], count) for name, count in content.templates.items()]
     print_table("", ("template", "text", "episodes"), texts)
@@ -100,6 +100,25 @@ def print_content(plan: Plan, content: PlanSummary) -> None:
         f"  ({content.shown_alone / total:.1%} with a start that shows only the target, "
         f"{(content.ambiguous - content.shown_alone) / total:.1%} without)"
     )
+
+
+def print_samples(plan: Plan, samples: Sequence[str]) -> None:
+    """Prints examples of the instructions of a plan, if there are any."""
+    if not samples:
+        return
+    is_verified = plan.language is not None
+    kind = "verified; each fits the target only" if is_verified else "templates; they may fit several objects"
+    print_text(f"instructions ({kind}), for example:")
+    for text in samples:
+        print_text(f"  {text}")
+
+
+def print_built_layouts(plan: Plan, catalog: Catalog) -> None:
+    """Prints how many layouts of each family are built, which the numbers of scenes and objects count."""
+    for scene in plan.scenes:
+        if scene.layouts is not None:
+            built = sum(family_of(name) == scene.name for name in catalog if name != scene.name)
+            print_text(f"layouts of {scene.name} that are built and counted: {built} of {scene.layouts}")
 
 
 def print_layout_categories(episodes: Mapping[str, int]) -> None:
@@ -198,7 +217,17 @@ def _describe_layouts(plan: Plan, scene: ScenePlan) -> str:
     return f"{len(parts)} layouts {parts[0].name} to {parts[-1].name}, {each} episodes each{kept}"
 
 
-def _print_language(language: LanguageSpec, content: PlanSummary) -> None:
+def print_language(
+    plan: Plan, language: LanguageSpec, content: PlanSummary | None, forecast: LanguageForecast | None
+) -> None:
+    """Prints sentence patterns and features of a plan, asked and expected, and its ambiguity.
+
+    Args:
+        plan: plan with the language block.
+        language: language block of the plan.
+        content: summary of the plan; `None` if its scenes are not built.
+        forecast: expected sentences; `None` if its scenes are not built.
+    """
     composer = Composer(language)
     codes = [code for code, share in language.languages.items() if share > 0]
     rows = [(code, len(composer.patterns_of(code, False)), len(composer.patterns_of(code, True))) for code in codes]
@@ -207,5 +236,63 @@ def _print_language(language: LanguageSpec, content: PlanSummary) -> None:
     print_text(f"instructions fit {fits}; features: {', '.join(sorted(language.families))}")
     wanted = f", at least {language.in_view} in view at the start" if language.in_view else ""
     wanted += "; the target is drawn at the start" if language.exchangeable else ""
-    listed = ", ".join(f"{others} ({count / content.episodes:.0%})" for others, count in content.distractors.items())
-    print_text(f"other objects of the target's category in the scene, and share of the episodes: {listed}{wanted}")
+    if content is None:
+        print_text(
+            f"other objects of the target's category in the scene: not known before the scenes are built{wanted}"
+        )
+    else:
+        shares = {others: count / content.episodes for others, count in content.distractors.items()}
+        listed = ", ".join(f"{others} ({share:.0%})" for others, share in shares.items())
+        print_text(f"other objects of the target's category in the scene, and share of the episodes: {listed}{wanted}")
+    scenes = [] if forecast is None else list(forecast.starts)
+    print_table("", ("feature", "asked %", "at most %", "expected %", *scenes), _feature_cells(language, forecast))
+    if forecast is None:
+        built = "its layouts are built" if any(scene.layouts for scene in plan.scenes) else "its scenes are built"
+        print_text(f"the expected shares are known when {built}; a run builds them")
+        return
+    print_text(
+        f"asked: share of the feature's weight; expected: share of {forecast.episodes} sentences of planned episodes, "
+        "which may have several features; scenes: number of their starts that permit the feature, of "
+        f"{', '.join(f'{count} ({name})' for name, count in forecast.starts.items())}"
+    )
+    if forecast.without:
+        print_text(f"no sentence at the tried starts of {forecast.without} other episodes")
+
+
+def _feature_cells(language: LanguageSpec, forecast: LanguageForecast | None) -> list[tuple[object, ...]]:
+    rows = []
+    for row in feature_data(language, forecast):
+        percents = [None if row[key] is None else 100 * row[key] for key in ("asked", "largest", "expected")]
+        rows.append((row["feature"], *percents, *row["offered"].values()))
+    return rows
+
+
+def feature_data(language: LanguageSpec, forecast: LanguageForecast | None) -> list[dict[str, Any]]:
+    """Returns the asked and expected share of each feature as JSON data, in the order of the expected shares."""
+    limits = {str(family): share for family, share in language.largest_shares.items()}
+    rows = []
+    for name, asked in language.feature_shares.items():
+        row: dict[str, Any] = {"feature": name, "asked": asked, "largest": limits.get(name), "expected": None}
+        row["offered"] = {}
+        if forecast is not None:
+            row["expected"] = forecast.features.get(name, 0) / max(1, forecast.episodes)
+            row["offered"] = {scene: forecast.offered.get(name, {}).get(scene, 0) for scene in forecast.starts}
+        rows.append(row)
+    return sorted(rows, key=lambda row: -(row["expected"] or 0.0))
+
+
+def print_offers(rows: Sequence[OfferRow]) -> None:
+    """Prints which objects of each scene can be targets; the layouts of a family are one row."""
+    merged: dict[tuple[str, Tier, str], list[OfferRow]] = {}
+    for row in rows:
+        merged.setdefault((family_of(row.scene), row.tier, row.category), []).append(row)
+    has_groups = any(row.groups is not None for row in rows)
+    cells = [
+        (*key, *(sum(row.objects for row in group), sum(row.reachable for row in group)))
+        + ((sum(row.groups or 0 for row in group),) if has_groups else ())
+        for key, group in merged.items()
+    ]
+    columns = ("scene", "tier", "category", "targets", "reachable", *(("groups",) if has_groups else ()))
+    print_table("objects that can be targets, of those with a start in the tier", columns, cells)
+    if has_groups:
+        print_text("groups: sets of objects of which each can be the target from one start")

@@ -15,10 +15,20 @@ from dataclasses import dataclass
 
 from factory.stats.measures import mean_of, share_of
 from factory.stats.rollouts import ALL
-from factory.stats.statistics import ArrivalRow, LanguageRow, LanguageStatistics, Remark, Share, WordingRow
+from factory.stats.statistics import (
+    ArrivalRow,
+    FeatureRow,
+    LanguageRow,
+    LanguageStatistics,
+    PatternRow,
+    Remark,
+    Share,
+    WordingRow,
+)
 from schemas.dataset.rows import EpisodeSummary
 from schemas.instruction.start_view import IN_FRONT_RAD, SeenObject
 from schemas.instruction.templates import says_in_front
+from schemas.language.language_file import LanguageSpec
 from schemas.language.sentence.grammar import LANGUAGES
 
 _MOST_COMPARED = 300
@@ -114,6 +124,8 @@ class EpisodeView:
     """Whether the target is in view in the last frame."""
     choices: frozenset[int] = frozenset()
     """Ids of the objects from which the target was drawn at the start; empty if the plan names the target."""
+    features: frozenset[str] | None = None
+    """Features of the verified instruction; `None` for a template."""
 
     @property
     def language(self) -> str:
@@ -129,6 +141,7 @@ def summarise_language(
     episodes: int,
     views: Sequence[EpisodeView],
     remarks: Sequence[Remark] = (),
+    spec: LanguageSpec | None = None,
 ) -> LanguageStatistics:
     """Returns the language statistics of episodes.
 
@@ -139,6 +152,7 @@ def summarise_language(
         episodes: Number of episodes of the dataset.
         views: Episodes whose frames were read.
         remarks: Remarks about omitted data.
+        spec: Language that the plan asks for; `None` for templates and relabelled datasets.
     """
     languages = Counter(view.language for view in views)
     wrong, views = [view for view in views if not view.fitting], [view for view in views if view.fitting]
@@ -168,6 +182,28 @@ def summarise_language(
         unique=_share(views, lambda view: len(view.fitting) == 1),
         others_in_scene=mean_of([len(view.of_category) - 1 for view in views]),
         false_premises=len(wrong),
+        features=_feature_rows(views, spec),
+        patterns=tuple(
+            PatternRow(pattern=name, realised=share_of(count, len(views)))
+            for name, count in Counter(view.row.template_id for view in views).most_common()
+        ),
+    )
+
+
+def _feature_rows(views: Sequence[EpisodeView], spec: LanguageSpec | None) -> tuple[FeatureRow, ...]:
+    written = [view.features for view in views if view.features is not None]
+    asked = {} if spec is None else spec.feature_shares
+    limits = {} if spec is None else {str(name): share for name, share in spec.largest_shares.items()}
+    counts = Counter(name for features in written for name in features)
+    names = sorted({*counts, *asked}, key=lambda name: (-counts[name], name)) if written else []
+    return tuple(
+        FeatureRow(
+            feature=name,
+            asked=None if spec is None else asked.get(name, 0.0),
+            largest=limits.get(name),
+            realised=share_of(counts[name], len(written)),
+        )
+        for name in names
     )
 
 

@@ -296,6 +296,27 @@ class WordingRow(Model):
     """Mean BLEU-4 of each instruction with all others as references; small if the instructions vary."""
 
 
+class FeatureRow(Model):
+    """Share of the verified instructions with a feature, such as `ordinal`, beside what the plan asks."""
+
+    feature: str
+    """Name of the feature."""
+    asked: float | None
+    """Weight in the plan as a share of all weights, 0..1; `None` if the plan does not ask for verified instructions."""
+    largest: float | None
+    """Largest share that the plan permits, 0..1; `None` without a limit."""
+    realised: Share
+    """Share of the instructions with the feature; an instruction may have several."""
+
+
+class PatternRow(Model):
+    """Share of the instructions with a sentence pattern or a template."""
+
+    pattern: str
+    """Name of the pattern or the template."""
+    realised: Share
+
+
 class LanguageStatistics(Model):
     """Statistics of instructions and of the objects in view at the start and at the end."""
 
@@ -320,6 +341,10 @@ class LanguageStatistics(Model):
     """Mean number of other objects of the named category in the scene."""
     false_premises: Count
     """Number of instructions that fit no object; the other measures exclude them."""
+    features: tuple[FeatureRow, ...] = ()
+    """One row for each feature that the plan asks for or the instructions have, most frequent first."""
+    patterns: tuple[PatternRow, ...] = ()
+    """One row for each sentence pattern or template, most frequent first."""
 
     @property
     def is_sound(self) -> bool:

@@ -28,6 +28,8 @@ from factory.support.terminal import print_table, print_text
 
 _ROLLOUT = ("N", "share", "NE", "TL", "TL med", "steps", "steps med")
 _DASH = "-"
+_MOST_PATTERNS = 12
+"""Number of sentence patterns that are listed; `--json` has all."""
 
 
 def print_statistics(statistics: Statistics) -> None:
@@ -74,6 +76,7 @@ def print_language(statistics: LanguageStatistics) -> None:
         f"{_number(statistics.others_in_scene, 1)} in the scene"
     )
     _print_wording(statistics.wording)
+    _print_features(statistics)
     print_text(
         "\nShare of episodes whose target is, at the start, the nearest object in view,\n"
         "the most central object, or the most central object of its category"
@@ -122,6 +125,29 @@ def _print_wording(rows: Sequence[WordingRow]) -> None:
         for row in rows
     ]
     _table(("language", "N", "distinct", "vocabulary", "words (range)", "self-BLEU"), body)
+
+
+def _print_features(statistics: LanguageStatistics) -> None:
+    if statistics.features:
+        print_text(
+            "\nFeatures of the verified instructions, which may have several; asked: share of\n"
+            "the feature's weight in the plan"
+        )
+        body = [
+            (
+                row.feature,
+                *(_percent(row.asked), _percent(row.largest)),
+                *(str(row.realised.count), _interval(row.realised)),
+            )
+            for row in statistics.features
+        ]
+        _table(("feature", "asked", "at most", "N", "realised"), body)
+    shown, rest = statistics.patterns[:_MOST_PATTERNS], statistics.patterns[_MOST_PATTERNS:]
+    more = f"; {len(rest)} others have {sum(row.realised.count for row in rest)} together" if rest else ""
+    print_text(f"\nSentence patterns or templates, most frequent first{more}")
+    _table(
+        ("pattern", "N", "realised"), [(row.pattern, str(row.realised.count), _interval(row.realised)) for row in shown]
+    )
 
 
 def _print_shares(rows: Sequence[LanguageRow], columns: Mapping[str, str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Set
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from factory.dataset.columns import read_table
@@ -38,7 +39,7 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
     """
     # from frames, because the tables of older datasets have no columns for this
     rows = read_rows(root)
-    fits = read_fits(root)
+    rewritten = read_rewritten(root)
     chosen = spread_evenly(rows.episodes, MOST_OPENED) if (root / EPISODES).is_dir() else []
     infos = _read_infos(root, rows, {row.scene for row in chosen})
     views = []
@@ -46,7 +47,7 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
         name = file_name_of(row.episode_id)
         with Episode(episode_place(root, row.index), row) as episode:
             try:
-                view = read_view(episode, infos, fits)
+                view = read_view(episode, infos, rewritten)
             except ArchiveCorrupt as error:
                 rows.add_damage(name, f"skipped: {format_error(error, root)}")
             else:
@@ -54,27 +55,47 @@ def measure_language(root: Place, on_progress: ProgressCallback = lambda _done, 
         on_progress(done, len(chosen))
     scenes = [scene.name for scene in rows.meta.plan.scenes]
     return summarise_language(
-        str(root), rows.meta.run, scenes=scenes, episodes=len(rows.episodes), views=views, remarks=rows.remarks
+        str(root),
+        rows.meta.run,
+        scenes=scenes,
+        episodes=len(rows.episodes),
+        views=views,
+        remarks=rows.remarks,
+        spec=None if rewritten else rows.meta.plan.language,
     )
 
 
-def read_fits(root: Place) -> dict[str, int]:
-    """Returns episode id -> number of objects that the new instruction fits; empty if the dataset is not relabelled."""
+@dataclass(frozen=True)
+class RewrittenText:
+    """New instruction of a relabelled episode."""
+
+    fits: int
+    """Number of objects that it fits."""
+    features: frozenset[str]
+    """Features of the expression."""
+
+
+def read_rewritten(root: Place) -> dict[str, RewrittenText]:
+    """Returns episode id -> new instruction; empty if the dataset is not relabelled."""
     if not (root / INSTRUCTIONS_FILE).is_file():
         return {}
-    rows = read_table(root / INSTRUCTIONS_FILE, ("episode_id", "number", "fits")).to_pylist()
-    return {row["episode_id"]: row["fits"] for row in rows if row["number"] == 1 and row["fits"] is not None}
+    rows = read_table(root / INSTRUCTIONS_FILE, ("episode_id", "number", "fits", "features")).to_pylist()
+    return {
+        row["episode_id"]: RewrittenText(row["fits"], frozenset(filter(None, (row["features"] or "").split(","))))
+        for row in rows
+        if row["number"] == 1 and row["fits"] is not None
+    }
 
 
 def read_view(
-    episode: Episode, infos: Mapping[str, SceneInfo], fits: Mapping[str, int] = MappingProxyType({})
+    episode: Episode, infos: Mapping[str, SceneInfo], rewritten: Mapping[str, RewrittenText] = MappingProxyType({})
 ) -> EpisodeView | None:
     """Returns the objects in view of an episode, or `None` if its scene is missing.
 
     Args:
         episode: Episode of the dataset.
         infos: SHA-256 of a scene package -> metadata of the scene.
-        fits: Number of objects that the instruction of a relabelled episode fits, by episode.
+        rewritten: New instructions of a relabelled dataset, by episode.
 
     Raises:
         ArchiveCorrupt: The episode is missing or damaged.
@@ -82,18 +103,21 @@ def read_view(
     meta, info = episode.meta, infos.get(episode.summary.scene_sha256)
     if info is None:
         return None
+    new, written = rewritten.get(episode.episode_id), meta.language
+    features = new.features if new is not None else None if written is None else written.named_features
     target, min_pixels = meta.target_instance_id, meta.job.gains.min_mask_px
     objects = {instance.id for instance in info.instances if instance.category is not None}
     return EpisodeView(
         row=episode.summary,
         target=target,
         of_category=referents(info, meta.job.category),
-        fitting=_fitting(meta, info, fits.get(episode.episode_id)),
+        fitting=_fitting(meta, info, None if new is None else new.fits),
         seen=see_objects(
             episode.ids(0), episode.depth(0), objects=objects, camera=meta.job.camera, min_pixels=min_pixels
         ),
         is_in_view_at_end=target_in_view(episode.ids(-1), target, min_pixels),
         choices=frozenset(meta.choices),
+        features=features,
     )
 
 

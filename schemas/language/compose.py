@@ -87,17 +87,41 @@ class Composer:
     ) -> Search:
         return Search(scene.parts, seen, number=number, families=families, words=self._by_language[code].grammar)
 
-    def _drawn_families(self, turn: int, rng: np.random.Generator) -> frozenset[Family]:
-        """Returns the features for try number `turn`: in the first two tries, a few features drawn by their weights; in
-        later tries, all features."""
-        every = self.spec.families
-        if len(every) <= _FEW or turn >= _SHORT_SEARCHES:
-            return every
-        shares = {each: self.spec.features.get(each, 1.0) for each in Family if each in every}
-        drawn: set[Family] = set()
-        while len(drawn) < _FEW:
-            drawn.add(draw_weighted(shares, rng))
-        return frozenset(drawn)
+    def _ranked_families(self, turn: int, rng: np.random.Generator) -> list[Family]:
+        """Returns the features for try number `turn`.
+
+        If the features have different weights, all of them, each drawn by its weight from those that are left.
+        Otherwise a few that are drawn in the first two tries, and all in later tries, in an order without effect.
+        """
+        left = {each: self.spec.features.get(each, 1.0) for each in Family if each in self.spec.families}
+        if not self.spec.is_weighted and (len(left) <= _FEW or turn >= _SHORT_SEARCHES):
+            return list(left)
+        drawn: dict[Family, None] = {}
+        while self.spec.is_weighted and left:
+            drawn[draw_weighted(left, rng)] = None
+            left = {each: weight for each, weight in left.items() if each not in drawn}
+        while not self.spec.is_weighted and len(drawn) < _FEW:
+            drawn[draw_weighted(left, rng)] = None
+        return list(drawn)
+
+    def offers(
+        self, scene: SceneLanguage, view: SceneView | None, number: int, rng: np.random.Generator
+    ) -> set[frozenset[Family]]:
+        """Returns the sets of features with which a target can be described; does not verify a sentence."""
+        seen = None if view is None else ViewFacts(scene.facts, view)
+        searches = [self._search(scene, seen, number, code, self.spec.families) for code in self._by_language]
+        return {group for search in searches for group in self._grouped(search, number, rng)}
+
+    def leading_feature(self, rng: np.random.Generator) -> Family | None:
+        """Returns the feature for which a start is searched; `write` prefers it with the same random generator.
+
+        `None` if its weight is not above the mean; many starts permit some feature of little weight.
+        """
+        if not self.spec.is_weighted:
+            return None
+        draw_weighted(self.spec.languages, rng)
+        leading, shares = self._ranked_families(0, rng)[0], self.spec.feature_shares
+        return leading if shares[leading] * len(shares) > 1 else None
 
     def write(
         self, scene: SceneLanguage, view: SceneView | None, number: int, held_out: bool, rng: np.random.Generator
@@ -119,13 +143,14 @@ class Composer:
         for turn in range(_TRIES + self.spec.per_episode):
             if len(instructions) == self.spec.per_episode:
                 break
-            code, families = draw_weighted(self.spec.languages, rng), self._drawn_families(turn, rng)
+            code, ranked = draw_weighted(self.spec.languages, rng), self._ranked_families(turn, rng)
+            families = frozenset(ranked)
             if (code, families) not in options:
                 search = self._search(scene, seen, number, code, families)
                 options[code, families] = _Options(search, self._grouped(search, number, rng))
             if all(self._is_hopeless(each, options) for each in self._by_language):
                 break
-            one = self._one(scene, view, number, held_out, code, options[code, families], rng)
+            one = self._one(scene, view, number, held_out, code, options[code, families], ranked, rng)
             if one is not None:
                 instructions.setdefault(one.text, one)
         if rng.random() < self.spec.false_premises:
@@ -156,6 +181,7 @@ class Composer:
         held_out: bool,
         code: str,
         options: _Options,
+        ranked: Sequence[Family],
         rng: np.random.Generator,
     ) -> Instruction | None:
         """Returns one instruction, or `None` if no expression exists or the verifier rejects the drawn sentence."""
@@ -164,8 +190,9 @@ class Composer:
             return None
         kind = scene.graph.objects[number].kind
         names = sorted(groups, key=sorted)
-        weights = [_mean_weight(self.spec, group) for group in names]
-        group = groups[names[draw_index(weights, rng)]]
+        if self.spec.is_weighted:
+            names = _led_by_first(names, ranked)
+        group = groups[names[draw_index([1.0] * len(names), rng)]]
         expression = group[int(rng.integers(len(group)))].expression(self.spec.fit == "one")
         is_minimal = True
         if self.spec.redundant and rng.random() < self.spec.redundant:
@@ -327,9 +354,17 @@ def features_of(expression: Expression, kind: str) -> frozenset[Family]:
     return expression.families | ({Family.SUPERCLASS} if expression.kind != kind else frozenset())
 
 
-def _mean_weight(spec: LanguageSpec, group: frozenset[Family]) -> float:
-    values = [spec.features.get(each, 1.0) for each in group]
-    return sum(values) / len(values) if values else 1.0
+def _led_by_first(groups: Sequence[frozenset[Family]], ranked: Sequence[Family]) -> list[frozenset[Family]]:
+    """Returns the groups with the first feature that any group has, without those that add more features than others.
+
+    So a feature leads as often as its weight says, where the scene permits it, and other features are not added to it.
+    """
+    for feature in ranked:
+        led = [group for group in groups if feature in group]
+        if led:
+            fewest = min(map(len, led))
+            return [group for group in led if len(group) == fewest]
+    return list(groups)
 
 
 Probe = tuple[int, SceneView]

@@ -50,6 +50,11 @@ class Instruction(Model):
     """Number of other objects of the target's category in the scene."""
 
     @property
+    def named_features(self) -> frozenset[str]:
+        """Features of the expression."""
+        return frozenset(filter(None, self.features.split(",")))
+
+    @property
     def meant(self) -> str:
         """Sentence without its error."""
         return self.text if self.clean is None else self.clean

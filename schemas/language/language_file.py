@@ -25,6 +25,9 @@ from schemas.support.foreign import path_trouble
 from schemas.support.suggest import did_you_mean
 from schemas.support.toml_file import mistakes_of, read_toml
 
+LED_STARTS = 6
+"""Number of starts of an episode that are rejected because the sentence lacks the feature that its weight selected."""
+
 
 def _equal_shares(given: object) -> object:
     """Returns weights of 1 for a list of names, and anything else unchanged."""
@@ -77,7 +80,8 @@ class LanguageSpec(Model):
     registers: Shares = Field(default_factory=lambda: dict.fromkeys(REGISTERS, 1.0))
     """Share of each register: imperative, polite, question, terse, spoken."""
     features: Weights = Field(default_factory=dict)
-    """Weight of each feature; 1 if it is not listed, and 0 excludes it."""
+    """Weight of each feature, which leads a sentence in proportion to it where the start permits; 1 if it is not
+    listed, and 0 excludes it."""
     kinds: Annotated[tuple[TextKind, ...], Field(min_length=1, max_length=len(TextKind))] = (TextKind.GOAL,)
     """Kinds of text: `goal`, `route`."""
     per_episode: Annotated[int, Field(ge=1, le=16)] = 1
@@ -99,7 +103,8 @@ class LanguageSpec(Model):
     """Whether a plan draws the target of an episode when the episode starts, from the objects of its category that
     could be the target from the start pose; `in_view` counts these objects. Omitted if false."""
     largest_shares: LargestShares = Field(default_factory=dict, exclude_if=lambda it: not it)
-    """Largest share of the episodes of a plan whose sentences may have a feature, by feature; omitted if empty."""
+    """Largest share of the episodes of a plan or a relabelled dataset whose sentences may have a feature, by feature;
+    omitted if empty."""
     questions: bool = Field(default=False, exclude_if=lambda it: not it)
     """Whether each episode gets questions with computed answers; omitted if false."""
     false_premises: Fraction = 0.0
@@ -196,6 +201,17 @@ class LanguageSpec(Model):
     def needs_view(self) -> bool:
         """Whether expressions may depend on the start pose."""
         return bool(self.families - _WITHOUT_VIEW)
+
+    @property
+    def feature_shares(self) -> dict[str, float]:
+        """Weight of each feature that is not excluded, as a share of all weights."""
+        weights = {str(each): self.features.get(each, 1.0) for each in Family if each in self.families}
+        return {name: weight / sum(weights.values()) for name, weight in weights.items()}
+
+    @property
+    def is_weighted(self) -> bool:
+        """Whether the features that are not excluded have different weights."""
+        return len({self.features.get(each, 1.0) for each in self.families}) > 1
 
     @property
     def families(self) -> frozenset[Family]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.builders.stage import StageText, room_body
 
 
@@ -126,3 +128,19 @@ def test_a_plan_is_shown_with_its_categories_templates_and_expected_ambiguity(co
     plan.write_text(plan.read_text().replace('"view"', '"scene"'))
     refused = command("run", plan, "--out", tmp_path / "x", expect=2).stderr
     assert "no instruction fits only one trash_can; unique in the scene: chair, red chair;" in refused
+
+
+def test_a_plan_with_layouts_shows_patterns_and_asked_features_before_they_are_built(command, tmp_path):
+    plan = tmp_path / "homes.toml"
+    plan.write_text(
+        "[language.features]\nnear = 3\n[language.largest_shares]\nordinal = 0.25\n[splits]\ntrain_id = 1.0\n[tiers]\n"
+        'near = 1.0\n[[scenes]]\nname = "home"\nlayouts = 2\nepisodes = 4\nseed = 7123\n'
+    )
+    shown = command("plan", "show", plan).stdout
+    assert "sentence patterns" in shown
+    assert "layouts of home that are built and counted: 0 of 2" in shown
+    assert "the expected shares are known when its layouts are built; a run builds them" in shown
+    rows = {row["feature"]: row for row in command.json("plan", "show", plan)["features"]}
+    assert rows["near"]["asked"] == pytest.approx(3 / 17)
+    assert (rows["ordinal"]["asked"], rows["ordinal"]["largest"]) == (pytest.approx(1 / 17), 0.25)
+    assert rows["near"]["expected"] is None

@@ -110,3 +110,12 @@ def test_an_episode_without_the_planned_sentence_is_refused(stage):
     with _episode(stage, Split.TEST_FALSE_PREMISE) as bundle:
         bundle.meta = bundle.meta.model_copy(update={"language": None})
         assert "the episode has no verified instruction" in validate(bundle, bundle.meta.job, (CHAIR,))
+
+
+@pytest.mark.parametrize("feature", ["near", "support"])
+def test_a_start_is_searched_for_the_feature_of_large_weight_and_another_is_used_if_none_is_found(stage, feature):
+    language = LanguageSpec(features={feature: 1e6})
+    jobs = (_job(Split.TRAIN_ID, attempt).model_copy(update={"language": language}) for attempt in range(1, 8))
+    with first_success(jobs, stage)[1] as bundle:
+        # nothing is on or under the chair, which is next to a table
+        assert (feature in _said(bundle).named_features) == (feature == "near")

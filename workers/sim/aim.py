@@ -6,12 +6,15 @@ Design: docs/design/language.md#the-sentence-is-written-when-the-start-is-known.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from schemas.exchangeable import candidates_of, exchangeable_targets, may_exchange
 from schemas.instruction.start_view import start_view_findings
 from schemas.job import Job
+from schemas.language.expression import Family
 from schemas.language.instruction import Instruction, InstructionKind
+from schemas.language.language_file import LED_STARTS
 from schemas.language.question.meaning import Question
 from schemas.measure import Goal, target_in_view
 from schemas.scene import SceneInfo, Target
@@ -137,12 +140,52 @@ def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple
     return choices if len(choices) > least else ()
 
 
-def have_sentences(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> bool:
-    """Returns whether each object that could be the target from a pose has a sentence; true if the plan names it."""
-    if job.choice is None:
-        return True
-    targets = _choices(job, scene.compiled.info, renderer, pose)
-    return all(write_instruction(job.aimed_at(target), scene, pose) is not None for target in targets)
+class SentenceSearch:
+    """Test of starts for the sentences of a job, before the physics.
+
+    If the feature that leads the sentence has a weight above the mean, the first starts must permit it. Otherwise a
+    feature that few starts permit would be rare, whatever its weight.
+
+    Args:
+        job: job of the episode.
+        scene: scene of the job.
+        renderer: renderer with the scene loaded.
+    """
+
+    def __init__(self, job: Job, scene: LoadedScene, renderer: Renderer) -> None:
+        self._job, self._scene, self._renderer = job, scene, renderer
+        self._leading = _leading_feature(job)
+        self._rejected: list[Pose] = []
+
+    def accepts(self, pose: Pose) -> bool:
+        """Returns whether each object that could be the target from a pose whose view is clear has a sentence."""
+        job, scene = self._job, self._scene
+        if job.choice is None and self._leading is None:
+            return True  # the sentence is written after the physics
+        targets = [scene.compiled.info.target(job.target_id)]
+        if job.choice is not None:
+            targets = list(_choices(job, scene.compiled.info, self._renderer, pose))
+        sentences = [write_instruction(job.aimed_at(target), scene, pose) for target in targets]
+        if not sentences or not all(sentences):
+            return False
+        drawn = sentences[0] if job.choice is None else job.choice.of(sentences)
+        is_led = self._leading is None or (drawn is not None and self._leading in drawn.named_features)
+        if is_led or len(self._rejected) == LED_STARTS:
+            return True
+        self._rejected.append(pose)
+        return False
+
+    def rejected_starts(self) -> Iterator[Pose]:
+        """Yields the starts that were rejected only because the leading feature is not in the sentence."""
+        yield from self._rejected
+
+
+def _leading_feature(job: Job) -> Family | None:
+    if job.language is None or job.is_false_premise or not job.language.is_weighted:
+        return None
+    from schemas.language.compose import composer_of
+
+    return composer_of(job.language).leading_feature(job.language_rng())
 
 
 def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:

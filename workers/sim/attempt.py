@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from itertools import chain
 from typing import BinaryIO
 
 from schemas.bundle import BundleWriter, EpisodeArrays
@@ -25,9 +26,9 @@ from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
 from workers.sim.aim import (
     EpisodeAim,
+    SentenceSearch,
     ends_in_view,
     find_aim,
-    have_sentences,
     is_view_clear,
     start_target,
     write_questions,
@@ -97,12 +98,14 @@ def run_attempt(
         scene.compiled, job.camera
     )  # loaded before the world is built, because both can need much memory
     is_clear = partial(is_view_clear, job, scene.compiled.info, context.renderer)
+    sentences = SentenceSearch(job, scene, context.renderer)
 
     def accepts(pose: Pose) -> bool:
         # many choices of targets lack a sentence, so sentences are tested before the physics
-        return is_clear(pose) and have_sentences(job, scene, context.renderer, pose)
+        return is_clear(pose) and sentences.accepts(pose)
 
-    for draws, start in enumerate(draw_poses(job, target, scene=scene, rng=rng, accepts=accepts), 1):
+    drawn = draw_poses(job, target, scene=scene, rng=rng, accepts=accepts)
+    for draws, start in enumerate(chain(drawn, sentences.rejected_starts()), 1):
         with World(scene.compiled, scene.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue

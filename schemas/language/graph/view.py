@@ -115,14 +115,25 @@ def have_sight(graph: SceneGraph, eyes: Floats, numbers: NDArray[np.intp]) -> Bo
         eyes: (K, 2) x, y of the camera, metres.
         numbers: (K,) numbers of the objects.
     """
-    parts = [np.zeros(0, bool)]
+    return np.asarray(free_lines(graph, eyes, numbers).mean(axis=1) >= SHOWN)
+
+
+def free_lines(graph: SceneGraph, eyes: Floats, numbers: NDArray[np.intp]) -> Bools:
+    """Returns whether each of the lines of sight (K, 5) from points to objects meets no obstacle; see `have_sight`."""
+    parts = [np.zeros((0, len(_POINTS)), bool)]
     for first in range(0, len(eyes), _CHUNK):
         eye, chosen = eyes[first : first + _CHUNK], numbers[first : first + _CHUNK]
         low, high = graph.low[chosen, :2], graph.high[chosen, :2]
-        ways = ((low + high) / 2 - eye)[:, None] + _POINTS * ((high - low) / 2)[:, None]
+        ways = line_ends(graph, chosen) - eye[:, None]
         blocked = _blocked(graph, eye, ways=ways, low=low - _BEFORE_M, high=high + _BEFORE_M)
-        parts.append(np.asarray((blocked == 0).mean(axis=1) >= SHOWN))
+        parts.append(blocked == 0)
     return np.concatenate(parts)
+
+
+def line_ends(graph: SceneGraph, numbers: NDArray[np.intp]) -> Floats:
+    """Returns the ends (K, 5, 2) of the lines of sight to some objects, metres; the first is the centre."""
+    low, high = graph.low[numbers, :2], graph.high[numbers, :2]
+    return np.asarray(((low + high) / 2)[:, None] + _POINTS * ((high - low) / 2)[:, None])
 
 
 def _are_at_image_height(graph: SceneGraph, reach_m: Floats, camera: CameraConfig) -> Bools:

@@ -7,18 +7,21 @@ import tomllib
 
 import pytest
 
+from coordinator.expansion.catalog import read_entry
 from coordinator.expansion.draw import expand, redraw, to_job
 from coordinator.expansion.nearest import find_nearest
 from coordinator.expansion.plan_file import parse_plan, plan_to_toml
 from coordinator.expansion.possible import find_impossible
-from coordinator.expansion.summary import summarise
+from coordinator.expansion.summary import offer_rows, summarise
 from schemas.instruction.referents import referents_of
 from schemas.instruction.start_view import StartView
 from schemas.instruction.templates import needs_colour
 from schemas.job import Job
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import Split
+from schemas.scene import encode_scene
+from schemas.terms import Split, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target
+from tests.builders.scene import Box, build_scene, room_walls
 
 TRAIN = {Split.TRAIN_ID: 1.0}
 ENTRY = make_entry(
@@ -169,3 +172,33 @@ def test_the_summary_of_a_huge_plan_describes_a_reduced_plan():
     summary = summarise(plan, make_catalog(plan))
     assert summary.episodes == 6_000
     assert summary.categories["chair"] == summary.categories["trash_can"] == 2700
+
+
+ROOM = build_scene(
+    (
+        *room_walls((-6.0, -4.0), (6.0, 4.0)),
+        *(Box((x, 2.0, 0.0), (x + 0.4, 2.4, 0.5), category="crate") for x in (-0.3, 0.3)),
+        Box((-0.1, -3.6, 0.0), (0.3, -3.2, 0.5), category="crate"),
+    )
+)
+"""Two crates beside each other, and one at the opposite wall."""
+
+
+def test_objects_that_no_start_shows_alone_are_not_planned_unless_all_are_so(tmp_path):
+    path = tmp_path / "room.scene.zip"
+    path.write_bytes(encode_scene(ROOM, level=1))
+    entry, scene = read_entry(path), {"name": "room", "usd": "room.usda"}
+    pair, single = ROOM.info.targets[:2], ROOM.info.targets[2]
+    base = _plan("view", seen=("crate",), **scene).model_copy(update={"tiers": {Tier.NEAR: 1.0}})
+    plans = {"view": base, "off": _plan("off", seen=("crate",), **scene).model_copy(update={"tiers": {Tier.NEAR: 1.0}})}
+    named = {
+        key: {planned.episode.target_id for planned in expand(plan, {"room": entry})} for key, plan in plans.items()
+    }
+    assert named == {"view": {single.target_id}, "off": {each.target_id for each in (*pair, single)}}
+    (row,) = offer_rows(base, {"room": entry})
+    assert (row.category, row.objects, row.reachable, row.groups) == ("crate", 1, 3, None)
+    (first, *_) = expand(base, {"room": entry})
+    assert redraw(base, {"room": entry}, first).episode.target_id == single.target_id
+    exempt = _plan("view", seen=("crate",), ambiguous=("crate",), **scene)
+    exempt = exempt.model_copy(update={"tiers": {Tier.NEAR: 1.0}})
+    assert {planned.episode.target_id for planned in expand(exempt, {"room": entry})} == named["off"]

@@ -22,7 +22,7 @@ from factory.export.options import PaperOptions
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.registry import EXPORTERS, find_exporter
 from factory.support.task_pool import run_tasks
-from schemas.errors import UsageError, WorldError
+from schemas.errors import InvalidPlan, UsageError, WorldError
 from tests.builders.dataset import make_dataset
 
 
@@ -236,3 +236,13 @@ def test_dry_run_writes_nothing(varied: Path, tmp_path: Path) -> None:
     assert "4 episodes, 60 frames" in done.stdout
     assert "measured with ep_" in done.stdout
     assert not (tmp_path / "out").exists()
+
+
+def refuse(number: int) -> int:
+    raise InvalidPlan(f"plan {number} is impossible", ["scenes[0]: no chair"])
+
+
+def test_the_findings_of_an_error_in_a_process_reach_the_caller():
+    with pytest.raises(InvalidPlan, match="plan 7 is impossible:\n  - scenes") as caught:
+        list(run_tasks(refuse, [7], 1, threading.Event()))
+    assert caught.value.findings == ("scenes[0]: no chair",)

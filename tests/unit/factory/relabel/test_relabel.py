@@ -159,3 +159,16 @@ def test_the_command_prints_the_report_as_json(source, tmp_path, capsys):
     arguments = [str(source), "-o", str(tmp_path / "out"), "--language", str(tmp_path / "language.toml"), "--json"]
     assert command.main([*arguments, "--workers", "1"], standalone_mode=False) == 0
     assert '"finished": true' in capsys.readouterr().out
+
+
+def test_a_feature_of_limited_share_is_in_at_most_that_share_of_the_new_instructions(source, tmp_path):
+    kept = Family.ORDINAL, Family.NEAREST, Family.COLOUR
+    others = {family: 0.0 for family in Family if family not in kept}
+    spec = LanguageSpec(features={**others, Family.ORDINAL: 1e6}, seed=3)
+    counts = []
+    for limits in ({}, {Family.ORDINAL: 0.34}):
+        out = tmp_path / f"limits{len(limits)}"
+        relabel(source, out, spec.model_copy(update={"largest_shares": limits}))
+        rows = Dataset(out).instructions.to_pylist()
+        counts.append(sum("ordinal" in row["features"].split(",") for row in rows if row["kind"] == "goal"))
+    assert counts[0] > 2 >= counts[1]  # of 6 episodes

@@ -8,8 +8,8 @@ import pytest
 
 from coordinator.expansion.catalog import read_entry
 from factory.dataset.packages import packages_by_scene
-from factory.runs.catalog import collect_scenes, open_catalog
-from factory.runs.layouts import BuiltLayout, LayoutBuilds
+from factory.runs.catalog import collect_scenes, find_built, open_catalog
+from factory.runs.layouts import BuiltLayout, LayoutBuilds, find_layouts
 from factory.scenes.build import package_path
 from schemas.errors import InvalidPlan
 from schemas.plan import Plan
@@ -84,3 +84,12 @@ def test_a_stopped_build_raises_keyboard_interrupt(tmp_path: Path) -> None:
     builds.stop.set()
     with pytest.raises(KeyboardInterrupt):
         collect_scenes(PLAN, tmp_path / "data", tmp_path, builds=builds)
+
+
+def test_the_layouts_that_a_run_would_use_are_found_without_a_build(tmp_path: Path) -> None:
+    good = put_package(tmp_path, "office_00005", 5, "chair")
+    put_package(tmp_path, "office_00006", 6, "plant")  # refused, and its next seed is not built
+    assert find_layouts(PLAN, tmp_path) == {"office_00005": good}
+    assert find_built(PLAN, tmp_path).keys() == {"office_00005"}
+    third = put_package(tmp_path, "office_00006", 8, "chair")
+    assert find_layouts(PLAN, tmp_path) == {"office_00005": good, "office_00006": third}

@@ -27,6 +27,8 @@ from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.instruction.start_view import SeenObject, see_objects
 from schemas.instruction.templates import instruction
+from schemas.language.expression import Family
+from schemas.language.language_file import LanguageSpec
 from schemas.scene import Instance, decode_scene, encode_scene
 from tests.builders.bundle import TARGET_ID, BundleParts
 from tests.builders.dataset import make_dataset, office_package
@@ -232,3 +234,28 @@ def test_the_report_shows_the_shares_of_the_language_statistics(data: Path) -> N
     assert "Shares of 4 episodes with 95 % Wilson intervals; 2 distinct instructions." in page
     assert ">75 % (30–95)<" in page
     assert "figures/language.svg" in files
+
+
+def test_shares_of_features_and_patterns_are_counted_beside_the_shares_that_the_plan_asks_for():
+    spec = LanguageSpec(
+        features={**dict.fromkeys(LanguageSpec().families, 0.0), "near": 3.0, "ordinal": 1.0},
+        largest_shares={Family.ORDINAL: 0.4},
+    )
+    said = [{"near"}, {"near", "ordinal"}, {"ordinal"}, {"near"}, set[str]()]
+    seen = (SeenObject(7, 0.5, 0.0, 50),)
+    views = [replace(view(seen, template_id=f"en_terse_{len(one)}"), features=frozenset(one)) for one in said]
+    found = summarise_language("data", "run", ["office"], 5, views, spec=spec)
+    near, ordinal = found.features
+    assert (near.feature, near.asked, near.largest, counted(near.realised)) == ("near", 0.75, None, (3, 5))
+    assert (ordinal.feature, ordinal.asked, ordinal.largest, counted(ordinal.realised)) == (
+        "ordinal",
+        0.25,
+        0.4,
+        (2, 5),
+    )
+    assert [(row.pattern, row.realised.count) for row in found.patterns] == [
+        *(("en_terse_1", 3), ("en_terse_2", 1), ("en_terse_0", 1))
+    ]
+    relabelled = summarise_language("data", "run", ["office"], 5, views).features
+    assert {(row.feature, row.asked) for row in relabelled} == {("near", None), ("ordinal", None)}
+    assert summarise_language("data", "run", ["office"], 1, [view(seen)], spec=spec).features == ()

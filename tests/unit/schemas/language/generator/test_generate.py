@@ -124,3 +124,28 @@ def test_targets_with_too_few_objects_of_their_category_get_no_instruction():
         for n in TARGETS
     }
     assert found["sofa"] == found["monitor"] == []
+
+
+def test_the_features_of_sentences_have_the_ratio_of_their_weights_where_both_are_possible():
+    spec = LanguageSpec(features={**dict.fromkeys(LanguageSpec().families, 0.0), "near": 3.0, "ordinal": 1.0})
+    composer, scene, said = Composer(spec), two_rooms(), []
+    for view in views(60):
+        for number in TARGETS:
+            sets = composer.offers(scene, view, number, np.random.default_rng(0))
+            if {frozenset({"near"}), frozenset({"ordinal"})} <= sets:
+                for seed in range(40):
+                    rng = np.random.default_rng((seed, number))
+                    said += [one.features for one in composer.write(scene, view, number, False, rng)]
+    assert len(said) >= 200
+    assert set(said) == {"near", "ordinal"}
+    assert said.count("near") / len(said) == pytest.approx(0.75, abs=0.06)
+
+
+def test_features_of_equal_weight_lead_no_start_and_those_above_the_mean_do():
+    every = LanguageSpec().families
+    assert Composer(LanguageSpec()).leading_feature(np.random.default_rng(0)) is None
+    assert Composer(LanguageSpec(features=dict.fromkeys(every, 2.0))).leading_feature(np.random.default_rng(0)) is None
+    composer = Composer(LanguageSpec(features={"near": 14.0}))
+    led = [composer.leading_feature(np.random.default_rng(seed)) for seed in range(400)]
+    assert set(led) == {"near", None}  # 14 of 28 weights; a feature of weight 1 is below the mean of 28 / 15
+    assert led.count("near") / 400 == pytest.approx(0.5, abs=0.08)
