@@ -22,7 +22,7 @@ from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names, disp
 from factory.scenes.formats.xml_text import text_of
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, plane, sphere
-from factory.scenes.navigation.floor import level_area_m2
+from factory.scenes.navigation.floor import SUNK_M, lowest_level
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 
@@ -379,8 +379,6 @@ def _is_built_in(reader: _Reader, include: Element, uri: str, path: Path, parent
 
 
 _GROUND_M = 100.0
-_SUNK_M = 0.004
-"""Depth of a built-in ground plane below a floor at its height, so the two do not flicker; within the floor's skin."""
 
 
 def _place_grounds(reader: _Reader) -> None:
@@ -390,8 +388,9 @@ def _place_grounds(reader: _Reader) -> None:
     for path, uri, place in reader.grounds.values():
         scene.notes.append(f"{path}: {uri} is not in a searched folder; taken as a plane of {_GROUND_M:g} m")
         sunk = np.array(place)
-        if shown and level_area_m2(np.concatenate(shown), float(place[2, 3]), _SUNK_M) > 0:
-            sunk[2, 3] -= _SUNK_M
+        lowest = lowest_level(np.concatenate(shown), float(place[2, 3]), SUNK_M)[0] if shown else None
+        if lowest is not None:
+            sunk[2, 3] = min(float(place[2, 3]), lowest - SUNK_M)
         piece = solid_piece(plane(_GROUND_M / 2, _GROUND_M / 2), Surface(*(_GROUND, "", _GROUND)))
         scene.place(path, [piece], sunk)
 

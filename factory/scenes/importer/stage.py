@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
-from factory.scenes.importer.diagnostics import format_error, format_warning, text_of
+from factory.scenes.importer.diagnostics import format_error, format_warning, summarise, text_of
 from factory.scenes.stage_file import require_stage
 from schemas.errors import WorldError
 
@@ -107,7 +107,7 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
 
 
 def take_warnings(listener: Any, ignored: str | None = None) -> list[str]:
-    """Returns the warnings that a diagnostic delegate of USD has collected, one line each.
+    """Returns the warnings that a diagnostic delegate of USD has collected: a line with a count for each kind.
 
     Args:
         listener: delegate; it is emptied.
@@ -115,7 +115,7 @@ def take_warnings(listener: Any, ignored: str | None = None) -> list[str]:
     """
     texts = (text_of(partial(getattr, one, "commentary")) for one in listener.TakeUncoalescedDiagnostics())
     # USD's threads emit warnings in any order
-    return sorted(format_warning(text) for text in texts if ignored is None or ignored not in text)
+    return summarise(sorted(format_warning(text) for text in texts if ignored is None or ignored not in text))
 
 
 def _root_prims_note(stage: Any) -> str:

@@ -37,6 +37,10 @@ RULES = builtin_rules()
         ("KitchenCabinet_01_001", "cabinet"),
         ("PalletJackB_01", "pallet_jack"),
         ("fridges", "refrigerator"),
+        ("Storage0", "cabinet"),
+        ("storage_unit_12", "cabinet"),
+        ("WasherDryer1", "washing_machine"),
+        ("table_top", "table"),
     ],
 )
 def test_names_of_public_assets_match_their_category(name: str, category: str) -> None:
@@ -63,6 +67,13 @@ def test_names_of_public_assets_match_their_category(name: str, category: str) -
         "CookingBench_01",
         "cupboardLeftBoard",
         "test_bench",
+        "StorageRoom",
+        "TableLeg_01",
+        "chair_cushion_2b",
+        "SofaPillow",
+        "TennisRacket",
+        "eggplant",
+        "suitable_place",
         "Wall",
     ],
 )

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from factory.scenes.build import import_scene
 from factory.scenes.compile.listing import UnreachableTargets
+from factory.scenes.limits import USUAL_LIMITS
 from schemas.errors import WorldError
 from schemas.scene import SceneInfo, decode_scene
 
@@ -68,3 +71,44 @@ def test_a_map_is_written_if_no_object_is_reachable(tmp_path: Path) -> None:
 
 def test_the_error_of_unreachable_targets_can_be_sent_from_a_child_process() -> None:
     assert str(pickle.loads(pickle.dumps(UnreachableTargets("no target", b"map")))) == "no target"
+
+
+def without_ground(folder: Path, more: str = "") -> Path:
+    boxes = {"board": "1 1 0.72 2.4 1.6 0.06", "leg": "1 1 0.35 0.1 0.1 0.7", "cabinet": "-3 -2 0.5 0.5 0.5 1"}
+    path = folder / "room.world"
+    models = "".join(box(name, numbers) for name, numbers in boxes.items())
+    path.write_text(f"<sdf version='1.6'><world name='w'>{models}{more}</world></sdf>")
+    return path
+
+
+def test_an_added_floor_is_slightly_below_a_floor_of_the_file_so_they_do_not_flicker(tmp_path: Path) -> None:
+    path, flat = without_ground(tmp_path, box("floor", "0 0 -0.05 10 10 0.1")), USUAL_LIMITS
+    plain = import_scene(path, "plain", tmp_path / "cache")
+    package = import_scene(path, "both", tmp_path / "cache", limits=replace(flat, floor_m=0.0))
+    with package.open("rb") as file:
+        scene = decode_scene(file)
+    ids = {instance.prim_path: instance.id for instance in scene.info.instances}
+    (part,) = np.flatnonzero(scene.part_instance == ids["/AddedFloor"])
+    corners = scene.positions[scene.part_first[part] :][: scene.part_count[part]]
+    assert np.allclose(corners[:, 2], -0.004, atol=1e-6)
+    assert sum(note.startswith("--floor: the file has level faces of 100 m2 at") for note in scene.info.notes) == 1
+    assert [target.prim_path for target in scene.info.targets] == [
+        target.prim_path for target in info_of(plain).targets
+    ]
+
+
+def test_a_file_without_a_ground_names_the_height_of_the_floor_to_add(tmp_path: Path) -> None:
+    path = without_ground(tmp_path)
+    with pytest.raises(WorldError, match=r"if the file has no ground, add one with --floor 0\b"):
+        import_scene(path, "room", tmp_path / "cache")
+    limits = replace(USUAL_LIMITS, floor_m=0.0)
+    info = info_of(import_scene(path, "room", tmp_path / "cache", limits=limits))
+    assert [target.category for target in info.targets] == ["cabinet"]
+    assert not any("no ground" in note for note in info.notes)
+
+
+def test_a_file_without_any_level_face_names_the_height_of_the_floor_to_add(tmp_path: Path) -> None:
+    path = tmp_path / "room.world"
+    path.write_text(f"<sdf version='1.6'><world name='w'>{box('cabinet', '1 0 1 0.5 0.5 1')}</world></sdf>")
+    with pytest.raises(WorldError, match=r"no floor.*add a floor to a file without one: --floor 0\.5$"):
+        import_scene(path, "room", tmp_path / "cache")
