@@ -70,6 +70,7 @@ class Library:
 
     files: SceneFiles
     _contents: dict[Path, Content | None] = field(default_factory=dict)
+    _unknown: set[str] = field(default_factory=set)
     _scripts: dict[Path, dict[str, OgreMaterial]] = field(default_factory=dict)
 
     @property
@@ -108,6 +109,12 @@ class Library:
                 if file.suffix == ".material" and file.is_file() and name in self._materials(file):
                     return self._materials(file)[name], file
         return None
+
+    def is_new(self, material: str) -> bool:
+        """Returns whether an unknown material is met for the first time, so it is noted once."""
+        is_new = material not in self._unknown
+        self._unknown.add(material)
+        return is_new
 
     def _materials(self, file: Path) -> dict[str, OgreMaterial]:
         if file not in self._scripts:

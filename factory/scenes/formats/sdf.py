@@ -108,9 +108,28 @@ _SCRIPTS = MappingProxyType(
         "gold": (0.8, 0.65, 0.12),
         "wood": (0.6, 0.45, 0.3),
         "residential": (0.7, 0.7, 0.7),
+        "lightwood": (0.7, 0.55, 0.4),
+        "paintedwall": (0.78, 0.74, 0.68),
+        "ceilingtiled": (0.85, 0.85, 0.83),
+        "grass": (0.25, 0.4, 0.18),
+        "bricks": (0.6, 0.33, 0.27),
+        "rockwall": (0.5, 0.47, 0.43),
+        "road": (0.3, 0.3, 0.3),
+        "asphalt": (0.3, 0.3, 0.3),
+        "motorway": (0.3, 0.3, 0.3),
+        "pedestrian": (0.55, 0.53, 0.5),
+        "runway": (0.35, 0.35, 0.35),
+        "zincyellow": (0.9742, 0.94, 0.0),
+        "darkyellow": (0.7, 0.7, 0.0),
+        "darkorange": (1.0, 0.2645, 0.0),
+        "indigo": (0.33, 0.0, 0.5),
+        "shell": (0.87, 0.82, 0.72),
+        "chrome": (0.75, 0.75, 0.75),
+        "whiteglow": (1.0, 1.0, 1.0),
+        "cloudysky": (0.7, 0.78, 0.87),
     }
 )
-"""Colours of the materials `Gazebo/...`, lower case."""
+"""Colours of the materials `Gazebo/...`, lower case; of those with a texture, its mean by eye."""
 
 
 def place_geometry(library: Library, shape: Element, path: Path, name: str, to_world: Floats) -> None:
@@ -225,11 +244,11 @@ def _scripted(
     if found is not None:
         return found[0].surface(), found
     known = _gazebo_colour(name)
-    if name and known is None:
+    if name and known is None and library.is_new(name):
         searched = ", ".join(_uris(material)) or "materials/scripts"
         library.files.scene.notes.append(
             f"{user}: material {name} of {library.files.shown(path)} is defined neither in {searched} nor by Gazebo, "
-            "shown in gray"
+            "all that use it are shown in gray"
         )
     colour = display_colour(*(known or (0.7, 0.7, 0.7)))
     return Surface(colour, "", colour, name=name), None

@@ -19,6 +19,8 @@ _BIN_M = 0.02
 _MIN_AREA_M2 = 2.0
 _MIN_SHARE = 0.4
 """Area of the floor as a share of the largest level."""
+_SLAB_BINS, _COVERED_SHARE = 20, 0.6
+"""A level within 0.4 m, in which the robot does not fit, that covers this share of a lower one is the floor."""
 # less than 1, because a roof or a slab above can be larger than the floor that furniture and walls divide; a pit or a
 # hatch below the floor is far smaller
 
@@ -68,9 +70,25 @@ def find_floor_height(triangles: Floats) -> float:
             "that the floor is visible and faces up; add a floor to a file without one: "
             f"--floor {lowest_point(triangles):g}"
         )
-    lowest = levels[per_level >= _MIN_SHARE * largest].min()
+    large = levels[per_level >= _MIN_SHARE * largest]
+    lowest = large.min()
+    for upper in large:  # the lower side of a slab faces up, too, if its faces are visible from both sides
+        above, below = ((bins == level) & (areas > 0) for level in (upper, lowest))
+        if 0 < upper - lowest <= _SLAB_BINS and _covers(triangles[above], triangles[below]):
+            lowest = upper
     chosen = (bins == lowest) & (areas > 0)
     return round(float(np.average(heights[chosen], weights=areas[chosen])), 4)
+
+
+def _covers(upper: Floats, lower: Floats) -> bool:
+    """Returns whether level triangles have most of the area and of the extent in the plane of triangles below them."""
+    if _facing_up(upper)[1].sum() < _COVERED_SHARE * _facing_up(lower)[1].sum():
+        return False
+    (a, b), (c, d) = (
+        (corners.min(axis=0), corners.max(axis=0)) for corners in (upper.reshape(-1, 3), lower.reshape(-1, 3))
+    )
+    common = np.maximum(np.minimum(b, d) - np.maximum(a, c), 0.0)[:2].prod()
+    return bool(common >= _COVERED_SHARE * (d - c)[:2].prod())
 
 
 def lowest_point(triangles: Floats) -> float:
@@ -97,7 +115,7 @@ def find_missing_floor(triangles: Floats, height: float) -> str:
     )
 
 
-_DEEP_M, _SMALL_SHARE = 0.2, 0.3
+_DEEP_M, _SMALL_SHARE = 0.1, 0.3
 """A floor is doubtful if the scene extends this deep below it, and it covers less than this share of the scene."""
 
 

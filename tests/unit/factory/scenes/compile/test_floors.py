@@ -11,7 +11,10 @@ import pytest
 
 from factory.scenes.build import import_scene
 from factory.scenes.compile.listing import UnreachableTargets
+from factory.scenes.importer import solids
+from factory.scenes.importer.polygons import triangulate
 from factory.scenes.limits import USUAL_LIMITS
+from factory.scenes.navigation.floor import find_floor_height
 from schemas.errors import WorldError
 from schemas.scene import SceneInfo, decode_scene
 
@@ -112,3 +115,20 @@ def test_a_file_without_any_level_face_names_the_height_of_the_floor_to_add(tmp_
     path.write_text(f"<sdf version='1.6'><world name='w'>{box('cabinet', '1 0 1 0.5 0.5 1')}</world></sdf>")
     with pytest.raises(WorldError, match=r"no floor.*add a floor to a file without one: --floor 0\.5$"):
         import_scene(path, "room", tmp_path / "cache")
+
+
+@pytest.mark.parametrize("height", [0.05, 0.2, 0.38])
+def test_the_upper_side_of_a_slab_is_the_floor_although_the_lower_side_is_visible_from_above(height: float) -> None:
+    points, counts, indices = solids.box(5.0, 4.0, height / 2)
+    slab = points[indices[triangulate(points, counts, indices).corners]]
+    ceiling, room = slab + np.array([0.0, 0.0, 2.5]), slab * (0.95, 0.95, 1.0)
+    both = np.concatenate([slab, slab[:, ::-1], ceiling, ceiling[:, ::-1]])
+    assert find_floor_height(both) == pytest.approx(height / 2, abs=1e-4)
+    assert find_floor_height(np.concatenate([room, slab[:, ::-1]])) == pytest.approx(height / 2, abs=1e-4)
+
+
+def test_a_stage_on_a_floor_and_a_space_in_which_the_robot_fits_keep_the_lower_floor() -> None:
+    floor = solids.plane(5.0, 4.0)[0][[[0, 1, 2], [0, 2, 3]]]
+    stage = floor * (0.5, 0.5, 1.0) + np.array([0.0, 0.0, 0.3])
+    assert find_floor_height(np.concatenate([floor, stage])) == 0.0
+    assert find_floor_height(np.concatenate([floor, floor + np.array([0.0, 0.0, 0.6])])) == 0.0
