@@ -59,7 +59,7 @@ _MORE_NAMES = {"cabinet": re.compile(r"storage(?:_(?:unit|furniture))?(?:_\d+)*"
 """Whole names of a category that are not in the table: `Storage0` of Apple's RoomPlan."""
 _NUMBER = re.compile(r"\d+[a-z]?|[a-z]")
 _PART = re.compile(
-    "legs?|foot|feet|handles?|knob|hinge|cushions?|pillows?|armrest|backrest|headrest|cast[eo]r|screw|bolt|cable|cord|plug|"
+    "legs?|foot|feet|handles?|knob|hinge|cushions?|pillows?|armrest|backrest|headrest|cast[eo]r|screw|bolt|cable|cord|plug|panels?|"
     "shadow|decal"
 )
 """Last words of names of parts: `TableLeg_01` is no table."""
@@ -114,6 +114,10 @@ class CategoryRule(Model):
         more = _MORE_NAMES.get(self.category)
         return bool(self._included.search(words) or (more and more.fullmatch(words)))
 
+    def end_of(self, words: str) -> int:
+        """Returns the end of the last match of the rule in a split name; 0 without a match."""
+        return max((found.end() - found[0].endswith("_") for found in self._included.finditer(words)), default=0)
+
 
 def _is_part(words: str) -> bool:
     """Returns whether the last word of a split name, without numbers and letters, is a part such as a leg."""
@@ -135,9 +139,13 @@ class RuleBook(Model):
         return RuleBook(rules=tuple(rule for rule in self.rules if rule.category in categories))
 
     def matches(self, name: str) -> Iterator[CategoryRule]:
-        """Yields the rules whose patterns match a prim name or label, in their order."""
+        """Yields the rules whose patterns match a prim name or label: the last thing of the name first.
+
+        A `sink_area_dish_washer` is a dishwasher. Rules of the same words are in their order.
+        """
         words = split_name(name)
-        return (rule for rule in self.rules if rule.names(words))
+        found = [rule for rule in self.rules if rule.names(words)]
+        return iter(sorted(found, key=lambda rule: -rule.end_of(words)))  # stable: equal ends keep their order
 
     def match(self, name: str) -> CategoryRule | None:
         """Returns the first rule whose patterns match a prim name or label, or `None`."""

@@ -115,7 +115,7 @@ def find_reachable(file: str, terrain: Terrain, shown: ShownScene, floor_m: floa
     if not targets:
         shown_map = MapContent.of_terrain(file, terrain, spawns, [target for target, _ in _candidates_of(shown)])
         raise UnreachableTargets(
-            _why_no_target(file, shown, terrain, find_missing_floor(shown.triangles(), floor_m) or notes[-1]),
+            _why_no_target(file, shown, terrain, find_missing_floor(shown.triangles(), floor_m) or (notes or [""])[-1]),
             encode_map(shown_map),
         )
     named = with_colours(targets, shown.parts, owners=shown.owners, book=shown.book, uncoloured=shown.uncoloured)

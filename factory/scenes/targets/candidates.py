@@ -123,19 +123,20 @@ def find_candidates(
     return tuple(sorted(_search(tree, ""), key=lambda candidate: candidate.path))
 
 
-def find_named(extraction: Extraction, words: Callable[[str], str]) -> dict[str, list[Box]]:
+def find_named(extraction: Extraction, kind_of_name: Callable[[str, str], str]) -> dict[str, list[Box]]:
     """Returns the boxes of the outermost prims with a name of each kind, whatever their size.
 
     Args:
         extraction: extracted stage.
-        words: function that returns the kind of a name or label, or an empty string.
+        kind_of_name: function that returns the kind of a name or label and the path above it, or an empty string.
     """
     tree = _Tree(extraction.parts, extraction, RuleBook(rules=()), lambda _: "")
     _grow(tree)
     kinds: dict[str, list[Box]] = defaultdict(list)
 
     def kind_of(path: str) -> str:
-        return "" if path in extraction.groups else words(extraction.labels.get(path) or path.rpartition("/")[2])
+        above, _, name = path.rpartition("/")
+        return "" if path in extraction.groups else kind_of_name(extraction.labels.get(path) or name, above)
 
     pending = list(tree.children.get("", ()))
     while pending:

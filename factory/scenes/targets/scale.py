@@ -31,8 +31,8 @@ def scale_note(extraction: Extraction, can_give_unit: bool) -> str:
         extraction: content of the file.
         can_give_unit: whether --unit is an option for its format.
     """
-    sizes = {kind: _size_m(kind, boxes) for kind, boxes in sorted(find_named(extraction, _kind_of).items())}
-    counts = {kind: len(boxes) for kind, boxes in find_named(extraction, _kind_of).items()}
+    found = sorted(find_named(extraction, _kind_of).items())
+    sizes, counts = {kind: _size_m(kind, boxes) for kind, boxes in found}, {kind: len(boxes) for kind, boxes in found}
     if not sizes or (sum(counts.values()) < _LEAST_OBJECTS and "door" not in sizes):
         return ""
     ratios = {kind: size / _USUAL_M[kind][0] for kind, size in sizes.items()}
@@ -51,10 +51,10 @@ def scale_note(extraction: Extraction, can_give_unit: bool) -> str:
     return f"the scene may have {ratio:.2g} times its true size: {seen}; {remedy}"
 
 
-def _kind_of(name: str) -> str:
+def _kind_of(name: str, above: str) -> str:
     words = split_name(name)
-    if _DOOR.search(words) and not _NO_DOOR.search(words):
-        return "door"
+    if _DOOR.search(words):  # the door of a cabinet is part of a prim that is named after it
+        return "" if _NO_DOOR.search(f"{split_name(above)}_{words}") else "door"
     rule = builtin_rules().match(name)
     return rule.category if rule is not None and rule.category in _USUAL_M else ""
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.build import import_scene
+from factory.scenes.compile.compiler import compile_stage
 from factory.scenes.compile.listing import UnreachableTargets
 from factory.scenes.importer import solids
 from factory.scenes.importer.polygons import triangulate
@@ -132,3 +133,12 @@ def test_a_stage_on_a_floor_and_a_space_in_which_the_robot_fits_keep_the_lower_f
     stage = floor * (0.5, 0.5, 1.0) + np.array([0.0, 0.0, 0.3])
     assert find_floor_height(np.concatenate([floor, stage])) == 0.0
     assert find_floor_height(np.concatenate([floor, floor + np.array([0.0, 0.0, 0.6])])) == 0.0
+
+
+def test_a_scene_without_notes_and_without_known_objects_is_refused_with_the_ways_to_name_targets(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "room.world"
+    path.write_text(f"<sdf version='1.6'><world name='w'>{box('thing', '0 0 -0.05 6 6 0.1')}</world></sdf>")
+    with pytest.raises(UnreachableTargets, match=r"no instance of a known category.*--rules.*--targets"):
+        compile_stage(path, "room", "room.world")

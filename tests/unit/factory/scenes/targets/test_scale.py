@@ -17,6 +17,7 @@ from tests.builders.formats import CHAIR, QUADS, ROOM, Box, corners
 
 TABLE = Box("Table_01", (-2.0, -1.0, 0.0), (-0.8, -0.2, 0.75))
 DOOR = Box("Door", (3.9, -0.5, 0.0), (4.0, 0.4, 2.05))
+CUPBOARD_DOOR = Box("cupboard_door_01", (3.0, 2.9, 0.0), (3.5, 3.0, 0.7))
 BAR = Box("BarTable", (-2.0, -1.0, 0.0), (-0.8, -0.2, 1.1))
 
 
@@ -35,7 +36,7 @@ def limits(unit: Unit = "m") -> StageLimits:
     return StageLimits(unit=unit, up="z")
 
 
-@pytest.mark.parametrize("things", [(TABLE, DOOR), (TABLE,), (DOOR,), (BAR,)])
+@pytest.mark.parametrize("things", [(TABLE, DOOR), (TABLE,), (DOOR,), (BAR,), (CUPBOARD_DOOR,)])
 def test_a_scene_of_true_size_has_no_note(tmp_path: Path, things: tuple[Box, ...]) -> None:
     assert scale_note(extract_scene(room(tmp_path, 1.0, *things), limits()), can_give_unit=True) == ""
 
