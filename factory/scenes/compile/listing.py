@@ -21,7 +21,7 @@ from factory.scenes.navigation.occupancy import build_occupancy
 from factory.scenes.navigation.reach import Terrain, count_reachable, sees_matrix, tiers_of
 from factory.scenes.survey.spawn_survey import MIN_SPAWNS, survey_spawns
 from factory.scenes.targets.candidates import Candidate, footprint_of
-from factory.scenes.targets.target_edits import apply_target_edits, recoloured
+from factory.scenes.targets.target_edits import apply_target_edits, extent_of, recoloured
 from factory.scenes.topdown import MapContent, encode_map
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import WorldError
@@ -130,7 +130,7 @@ def _why_no_target(file: str, shown: ShownScene, terrain: Terrain, reason: str) 
         return (
             f"{file} has no instance of a known category among {len(paths)} objects (such as {', '.join(paths[:5])}); "
             "name prims after their category, give category rules with --rules, or give the boxes of targets in a file "
-            "with --targets (docs/scenes/own.md)"
+            f"with --targets (docs/scenes/own.md; {extent_of(shown.parts)})"
         )
     listed = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
     return (

@@ -87,7 +87,9 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = format_error(text_of(error.__str__))
-        raise WorldError(f"{path.name} is not a readable USD stage ({reason}); check it with usdchecker") from error
+        raise WorldError(
+            f"{path.name} is not a readable USD stage ({reason}); save it again with the program that wrote it"
+        ) from error
     notes += take_warnings(listener)
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):

@@ -41,7 +41,7 @@ def cut_boxes(parts: Sequence[Part], chosen: TargetList | None) -> tuple[Part, .
         inside = [_in_box(part.triangles, middle, entry) for part, middle in zip(visible, middles, strict=True)]
         count = sum(int(rows_inside.sum()) for rows_inside in inside)
         if not count:
-            raise UsageError(f"targets file: {entry.id}: {_box_text(entry)} contains nothing; {_extent(visible)}")
+            raise UsageError(f"targets file: {entry.id}: {_box_text(entry)} contains nothing; {extent_of(visible)}")
         for owner, rows_inside in zip(owners, inside, strict=True):
             others = np.unique(owner[rows_inside & (owner >= 0)])
             if len(others):
@@ -83,7 +83,8 @@ def _box_text(entry: TargetEntry) -> str:
     return f"the box from ({', '.join(low)}) to ({', '.join(high)}) m"
 
 
-def _extent(parts: Sequence[Part]) -> str:
+def extent_of(parts: Sequence[Part]) -> str:
+    """Returns a text on the corners of the box around parts, which are those of the map, too."""
     low, high = ([f"{value:.2f}" for value in corner] for corner in _box(parts))
     return f"the scene extends from ({', '.join(low)}) to ({', '.join(high)}) m, z up"
 
