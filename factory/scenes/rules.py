@@ -62,7 +62,7 @@ _PART = re.compile(
     "legs?|foot|feet|handles?|knob|hinge|cushions?|pillows?|armrest|backrest|headrest|cast[eo]r|screw|bolt|cable|cord|plug|panels?|"
     "shadow|decal"
 )
-"""Last words of names of parts: `TableLeg_01` is no table."""
+"""Last words of names of parts: `TableLeg_01` is not a table."""
 
 
 class CategoryRule(Model):

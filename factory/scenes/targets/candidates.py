@@ -177,7 +177,7 @@ _STRUCTURE = re.compile(r"seat|back|arm|base|frame|body|top|bottom|front|side|re
 def find_sections(candidates: Sequence[Candidate]) -> dict[str, str]:
     """Returns the path of each candidate that is a part of an earlier one, to which it is joined -> that one.
 
-    Parts are candidates of one category that touch and whose names differ only in words for parts: `sofa_seat` and
+    Parts are candidates of one category that touch and whose names have only different words for parts: `sofa_seat` and
     `sofa_back`. Sofas and beds also have sections: `couch_left` and `couch_middle`.
 
     Args:
