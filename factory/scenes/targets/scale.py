@@ -22,6 +22,8 @@ _LEAST_OBJECTS = 2
 _PLAUSIBLE = (0.8, 1.25)
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "0.3048": 0.3048}
 _NEAR = 0.06
+_SPREAD = 1.6
+"""Greatest quotient of the scales of two kinds; others are names of different things."""
 
 
 def scale_note(extraction: Extraction, can_give_unit: bool) -> str:
@@ -38,7 +40,8 @@ def scale_note(extraction: Extraction, can_give_unit: bool) -> str:
     ratios = {kind: size / _USUAL_M[kind][0] for kind, size in sizes.items()}
     ratio = float(np.median(list(ratios.values())))
     is_usual = [_USUAL_M[kind][1] <= size <= _USUAL_M[kind][2] for kind, size in sizes.items()]
-    if _PLAUSIBLE[0] <= ratio <= _PLAUSIBLE[1] or np.mean(is_usual) > 0.5 or ratio <= 0:
+    agree = max(ratios.values()) <= _SPREAD * min(ratios.values())
+    if _PLAUSIBLE[0] <= ratio <= _PLAUSIBLE[1] or np.mean(is_usual) > 0.5 or not agree:
         return ""
     seen = ", ".join(f"{counts[kind]} {kind} of {sizes[kind]:.3g} m (usual: {_USUAL_M[kind][0]:g} m)" for kind in sizes)
     unit = extraction.metres_per_unit / ratio
@@ -60,5 +63,7 @@ def _kind_of(name: str, above: str) -> str:
 
 
 def _size_m(kind: str, boxes: Sequence[Box]) -> float:
+    """Returns the usual height of a kind (length of beds), metres, without boxes of less than half of the largest."""
     sides = np.array([box[1] - box[0] for box in boxes])
-    return float(np.median(sides[:, :2].max(axis=1) if kind == "bed" else sides[:, 2]))
+    lengths = sides[:, :2].max(axis=1) if kind == "bed" else sides[:, 2]
+    return max(float(np.median(lengths[lengths >= lengths.max() / 2])), 1e-6)  # smaller ones are parts

@@ -284,3 +284,17 @@ def test_hit_boxes_of_games_are_for_collision_only(tmp_path: Path, name: str) ->
     document.node("HitboxPoster", mesh)
     extraction = extract_scene(write(tmp_path / "a.glb", document.glb()))
     assert [part.is_collider for part in extraction.parts] == [False, True, False]
+
+
+def test_unknown_elements_of_urdf_are_noted_and_the_room_is_read(tmp_path: Path) -> None:
+    text = (
+        urdf_room().replace("<visual>", "<colour_hint/><visual><shade>1</shade>").replace("</link>", "<gazebo/></link>")
+    )
+    extraction, plain = (
+        extract_scene(write(tmp_path / name, content)) for name, content in (("a.urdf", text), ("b.urdf", urdf_room()))
+    )
+    assert [part.path for part in extraction.parts] == [part.path for part in plain.parts]
+    assert [note for note in extraction.notes if "URDF" in note] == [
+        "elements of links that URDF does not define are ignored: <colour_hint>, <shade>"
+    ]
+    assert not any("URDF" in note for note in plain.notes)

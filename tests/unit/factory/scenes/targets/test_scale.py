@@ -36,7 +36,10 @@ def limits(unit: Unit = "m") -> StageLimits:
     return StageLimits(unit=unit, up="z")
 
 
-@pytest.mark.parametrize("things", [(TABLE, DOOR), (TABLE,), (DOOR,), (BAR,), (CUPBOARD_DOOR,)])
+PARTS = tuple(Box(f"Table_fragment_{k}", (-2.0, k, 0.7), (-0.8, k + 0.5, 0.72)) for k in range(3))
+
+
+@pytest.mark.parametrize("things", [PARTS, (TABLE, *PARTS), (TABLE, DOOR), (TABLE,), (DOOR,), (BAR,), (CUPBOARD_DOOR,)])
 def test_a_scene_of_true_size_has_no_note(tmp_path: Path, things: tuple[Box, ...]) -> None:
     assert scale_note(extract_scene(room(tmp_path, 1.0, *things), limits()), can_give_unit=True) == ""
 
