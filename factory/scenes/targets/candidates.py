@@ -170,6 +170,10 @@ def find_copies(candidates: Sequence[Candidate]) -> dict[str, str]:
 
 _TOUCHING_M = 0.02
 _SEATS = ("sofa", "bed")
+_APPLIANCES = frozenset(
+    {"refrigerator", "oven", "sink", "dishwasher", "washing_machine", "toilet", "bathtub", "microwave"}
+)
+_INSIDE_SHARE = 0.95
 _SECTION = re.compile(r"left|right|middle|mid|center|centre|corner|section|segment|module|element|part|link|\d+|[a-z]")
 _STRUCTURE = re.compile(r"seat|back|arm|base|frame|body|top|bottom|front|side|rest|backrest|armrest|cushion|leg")
 
@@ -178,7 +182,8 @@ def find_sections(candidates: Sequence[Candidate]) -> dict[str, str]:
     """Returns the path of each candidate that is a part of an earlier one, to which it is joined -> that one.
 
     Parts are candidates of one category that touch and whose names have only different words for parts: `sofa_seat` and
-    `sofa_back`. Sofas and beds also have sections: `couch_left` and `couch_middle`.
+    `sofa_back`. Sofas and beds also have sections: `couch_left` and `couch_middle`, and
+    appliances have parts of any name inside them: an oven in an `oven_area`.
 
     Args:
         candidates: candidates in the order of their paths.
@@ -212,11 +217,20 @@ def _is_section(first: Candidate, later: Candidate) -> bool:
     apart = np.maximum(first.box[0], later.box[0]) - np.minimum(first.box[1], later.box[1])
     if apart.max() > _TOUCHING_M or _parent(first.path) != _parent(later.path):
         return False
+    if first.category in _APPLIANCES and _inside(first, later) >= _INSIDE_SHARE:
+        return True
     names = [split_name(one.path.rpartition("/")[2]).split("_") for one in (first, later)]
     differing = {*names[0]} ^ {*names[1]}
     if first.category in _SEATS:
         return all(_SECTION.fullmatch(word) or _STRUCTURE.fullmatch(word) for word in differing)
     return bool(differing) and all(_STRUCTURE.fullmatch(word) for word in differing)
+
+
+def _inside(first: Candidate, later: Candidate) -> float:
+    """Returns the volume of the intersection of two boxes as a share of the smaller one."""
+    low, high = np.maximum(first.box[0], later.box[0]), np.minimum(first.box[1], later.box[1])
+    common, one, other = (np.maximum(size, 1e-3).prod() for size in (high - low, *map(_size, (first, later))))
+    return float(common / min(one, other))
 
 
 def _share(first: Candidate, later: Candidate) -> float:

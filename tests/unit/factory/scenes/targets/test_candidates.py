@@ -199,3 +199,11 @@ def test_only_touching_parts_with_names_of_parts_are_joined() -> None:
     assert find_sections([placed("/sofa_left", "sofa", 0.0, size), placed("/sofa_right", "sofa", 0.83, size)]) == {}
     assert find_sections([placed("/sofa_blue", "sofa", 0.0, size), placed("/sofa_red", "sofa", 0.5, size)]) == {}
     assert find_sections([placed("/a/sofa_1", "sofa", 0.0, size), placed("/b/sofa_2", "sofa", 0.5, size)]) == {}
+
+
+def test_an_appliance_inside_one_of_its_category_is_its_part_and_a_table_in_the_corner_of_a_desk_is_not() -> None:
+    area = placed("/fridge_area", "refrigerator", 0.0, (0.7, 0.7, 1.6))
+    inner = placed("/iai_main", "refrigerator", 0.02, (0.66, 0.66, 1.0))
+    assert find_sections([area, inner]) == {"/iai_main": "/fridge_area"}
+    assert find_sections([placed("/desk_l", "table", 0.0), placed("/table", "table", 0.1, (0.5, 0.5, 0.5))]) == {}
+    assert find_sections([area, placed("/fridge_2", "refrigerator", 0.5, (0.7, 0.7, 1.6))]) == {}
