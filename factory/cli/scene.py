@@ -355,7 +355,9 @@ def build(
 
 @command.command("import")
 @file_argument
-@click.option("--name", metavar="NAME", help="Name of the scene. Default: the file name without suffix.")
+@click.option(
+    "--name", metavar="NAME", help="Name of the scene. Default: the file name without suffix, in lower case with _."
+)
 @count_option("--max-triangles", MAX_TRIANGLES, "Maximum number of triangles; a larger scene is an error.")
 @count_option("--max-file-mb", MAX_FILE_MB, "Maximum size of one file that is not USD, megabytes.")
 @click.option(
@@ -423,14 +425,14 @@ def import_(
     FILE is a USD stage (.usd, .usda, .usdc, .usdz), a glTF (.gltf, .glb), OBJ, PLY, STL or COLLADA (.dae) file, an
     SDFormat world or model (.sdf, .world), a URDF file, or an MJCF model (.xml, .mjcf).
     """
-    from factory.scenes.build import import_scene, load_edits  # needs usd-core
+    from factory.scenes.build import import_scene, load_edits, name_of_file  # needs usd-core
     from factory.scenes.inspection import describe_package, next_steps, print_others, print_package, print_steps
     from factory.support.logs import configure_logs
     from factory.support.settings import scene_cache
     from factory.support.terminal import print_json, stderr
 
     configure_logs(verbose)
-    called = name or file.stem.lower()
+    called = name or name_of_file(file)
     book, chosen = load_edits(rules, targets, called)
     limits = StageLimits(
         max_triangles=max_triangles,
@@ -445,6 +447,8 @@ def import_(
     )
     with stderr.status(f"importing {file}"):
         path = import_scene(file, called, cache or scene_cache(), rules=book, targets=chosen, limits=limits)
+    if name is None and called != file.stem:
+        click.echo(f"note: the scene is named {called}; --name NAME gives it another name", err=True)
     edits = {"rules": rules, "targets": targets}
     used: dict[str, object] = {key: str(edit.resolve()) for key, edit in edits.items() if edit is not None}
     searched = tuple(str(folder.resolve()) for folder in models)

@@ -8,7 +8,9 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
+import unicodedata
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +19,7 @@ from factory.scenes.cached import mark_as_last, package_name, recall_package, re
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.requirements import require_building
 from factory.scenes.rules import RuleBook, builtin_rules, load_rules
-from factory.scenes.stage_file import require_stage
+from factory.scenes.stage_file import kind_of_file, require_stage
 from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION, IMPORT_VERSION, MATERIALS_VERSION
 from schemas.errors import InvalidBundle, LayoutError, UsageError, WorldError
@@ -25,7 +27,7 @@ from schemas.scene import LAYOUT_FORMAT, SCENE_FORMAT, CompiledScene, encode_lay
 from schemas.scene.compiled import require_valid
 from schemas.scene.files import faulty_textures
 from schemas.support.suggest import did_you_mean
-from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES
+from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, PAPER_SCENES, family_of
 
 if TYPE_CHECKING:
     from factory.scenes.importer import Extraction
@@ -198,12 +200,7 @@ def import_scene(
         InvalidBundle: the compiled scene is not valid; nothing is written.
     """
     require_stage(path)
-    if not _NAME.fullmatch(name):
-        raise UsageError(
-            f"{name!r} is not a valid scene name; use lower-case letters, digits and _, starting with a letter"
-        )
-    if name in BUILTIN_SCENES:
-        raise UsageError(f"{name!r} is the name of a built-in scene; choose another --name")
+    _require_name(path, name)
     extraction, made_from = _read_stage(path, rules, targets, limits)
     known = recall_package(cache, name, made_from)
     if known is not None:
@@ -212,11 +209,15 @@ def import_scene(
     # imported here, because most runs find their scenes in the cache
     from factory.scenes.compile.compiler import compile_extraction
     from factory.scenes.compile.listing import UnreachableTargets
+    from factory.scenes.targets.scale import scale_note
 
     tell()
+    scale = scale_note(extraction, kind_of_file(path) not in _WITH_UNIT)
+    extraction = replace(extraction, notes=(*extraction.notes, *([scale] if scale else [])))
     try:
         scene = compile_extraction(path.name, extraction, name=name, source=path.name, rules=rules, chosen=targets)
     except UnreachableTargets as error:
+        error = UnreachableTargets(f"{error}; {scale}", error.map_png) if scale else error
         picture = cache / f"{name}.map.png"
         write_whole(picture, error.map_png)
         raise WorldError(f"{error}; map of the floor and the objects: {picture}") from error
@@ -226,6 +227,41 @@ def import_scene(
     write_whole(package, data)
     remember_package(cache, name, made_from, package)
     return package
+
+
+_WITH_UNIT = ("USD", "SDF", "URDF", "MJCF")
+"""Formats that define their unit, so --unit is refused."""
+
+
+def name_of_file(path: Path) -> str:
+    """Returns a valid scene name for a file: `My-Room 2.obj` becomes `my_room_2`, and `office.glb` `my_office`."""
+    return _valid_name(path.stem)
+
+
+def _valid_name(text: str) -> str:
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
+    words = "_".join(re.findall(r"[a-z0-9]+", plain)) or "scene"
+    name = words if words[0].isalpha() else f"scene_{words}"
+    return f"my_{name}"[:64] if _is_taken(name) else name[:64].rstrip("_")
+
+
+def _require_name(path: Path, name: str) -> None:
+    """Checks the name of an imported scene.
+
+    Raises:
+        UsageError: the name is not valid, or belongs to a built-in scene or layout; the message suggests another.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            f"{name!r} is not a valid scene name; use lower-case letters, digits and _, starting with a letter: "
+            f"--name {_valid_name(name)}"
+        )
+    if _is_taken(name):
+        raise UsageError(f"{name!r} is the name of a built-in scene; choose another one: --name {name_of_file(path)}")
+
+
+def _is_taken(name: str) -> bool:
+    return family_of(name) in BUILTIN_SCENES
 
 
 def find_import(

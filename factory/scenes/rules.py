@@ -49,8 +49,20 @@ _OTHER_THINGS = {
     "whiteboard": re.compile(rf"(?:^|_)(?:{_FURNITURE})s?_(?:\w+_)?board"),
     "cabinet": re.compile(r"(?:^|_)(?:cup_?board|cabinet)s?_(?:left|right|top|bottom|back)_(?:board|panel)"),
     "bench": re.compile(r"(?:^|_)(?:cooking|cook|hob|test|tool|optical|lab)_?bench"),
+    "rack": re.compile(r"rac(?:k|qu)et"),
+    "plant": re.compile(r"egg_?plant"),
+    "table": re.compile(r"(?:sui|prin|comfor|accep|no|cons|execu|mu|rota|detec)table"),
+    "chair": re.compile(r"chair_?(?:man|lift)"),
 }
 """Names of other things that contain the word of a category: a board of a cupboard, and a bench with a hob."""
+_MORE_NAMES = {"cabinet": re.compile(r"storage(?:_(?:unit|furniture))?(?:_\d+)*")}
+"""Whole names of a category that are not in the table: `Storage0` of Apple's RoomPlan."""
+_NUMBER = re.compile(r"\d+[a-z]?|[a-z]")
+_PART = re.compile(
+    "legs?|foot|feet|handles?|knob|hinge|cushions?|pillows?|armrest|backrest|headrest|cast[eo]r|screw|bolt|cable|cord|plug|panels?|"
+    "shadow|decal"
+)
+"""Last words of names of parts: `TableLeg_01` is not a table."""
 
 
 class CategoryRule(Model):
@@ -97,9 +109,20 @@ class CategoryRule(Model):
     def names(self, words: str) -> bool:
         """Returns whether the patterns of the rule match a split name."""
         other = _OTHER_THINGS.get(self.category)
-        if (self._excluded and self._excluded.search(words)) or (other and other.search(words)):
+        if (self._excluded and self._excluded.search(words)) or (other and other.search(words)) or _is_part(words):
             return False
-        return bool(self._included.search(words))
+        more = _MORE_NAMES.get(self.category)
+        return bool(self._included.search(words) or (more and more.fullmatch(words)))
+
+    def end_of(self, words: str) -> int:
+        """Returns the end of the last match of the rule in a split name; 0 without a match."""
+        return max((found.end() - found[0].endswith("_") for found in self._included.finditer(words)), default=0)
+
+
+def _is_part(words: str) -> bool:
+    """Returns whether the last word of a split name, without numbers and letters, is a part such as a leg."""
+    named = [word for word in words.split("_") if not _NUMBER.fullmatch(word)]
+    return len(named) > 1 and _PART.fullmatch(named[-1]) is not None
 
 
 class RuleBook(Model):
@@ -116,9 +139,13 @@ class RuleBook(Model):
         return RuleBook(rules=tuple(rule for rule in self.rules if rule.category in categories))
 
     def matches(self, name: str) -> Iterator[CategoryRule]:
-        """Yields the rules whose patterns match a prim name or label, in their order."""
+        """Yields the rules whose patterns match a prim name or label: the last thing of the name first.
+
+        A `sink_area_dish_washer` is a dishwasher. Rules of the same words are in their order.
+        """
         words = split_name(name)
-        return (rule for rule in self.rules if rule.names(words))
+        found = [rule for rule in self.rules if rule.names(words)]
+        return iter(sorted(found, key=lambda rule: -rule.end_of(words)))  # stable: equal ends keep their order
 
     def match(self, name: str) -> CategoryRule | None:
         """Returns the first rule whose patterns match a prim name or label, or `None`."""

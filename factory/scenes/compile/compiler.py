@@ -25,9 +25,10 @@ from factory.scenes.importer import Extraction, Part
 from factory.scenes.light import USUAL_DETAIL, LightDetail
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.navigation.collider import solid_triangles, weld
-from factory.scenes.navigation.floor import find_floor_height
+from factory.scenes.navigation.floor import find_floor_height, find_missing_floor
 from factory.scenes.navigation.reach import Terrain
 from factory.scenes.rules import RuleBook, builtin_rules
+from factory.scenes.targets.target_edits import cut_boxes
 from factory.scenes.targets.target_list import TargetList
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import WorldError
@@ -111,13 +112,15 @@ def compile_extraction(
     rules = rules or builtin_rules()
     notes = list(extraction.notes)
     parts, has_sky = without_surroundings(_without_outliers(file, extraction, notes), notes)
-    parts = with_floor(parts, extraction.floor_m)
+    parts = with_floor(cut_boxes(parts, chosen), extraction.floor_m, notes)
     parts = with_ceiling(parts, extraction.ceiling_m)
     shown = show_parts(
         file, extraction, parts=parts, selection=(rules, chosen), has_materials=has_materials, notes=notes, draw=draw
     )
     with _sizes_in_errors(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
+        missing = find_missing_floor(shown.triangles(), floor_m)
+        notes += [missing] if missing else []
         colliders = [part for part in parts if part.is_collider]
         solid = solid_triangles([part for part in parts if not part.is_collider], colliders, floor_m)
         terrain = find_terrain(shown, solid, floor_m, notes)

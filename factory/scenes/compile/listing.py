@@ -16,11 +16,12 @@ from factory.scenes.compile.objects import ShownScene
 from factory.scenes.compile.surfaces import target_colour
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
+from factory.scenes.navigation.floor import find_missing_floor
 from factory.scenes.navigation.occupancy import build_occupancy
 from factory.scenes.navigation.reach import Terrain, count_reachable, sees_matrix, tiers_of
 from factory.scenes.survey.spawn_survey import MIN_SPAWNS, survey_spawns
 from factory.scenes.targets.candidates import Candidate, footprint_of
-from factory.scenes.targets.target_edits import apply_target_edits, recoloured
+from factory.scenes.targets.target_edits import apply_target_edits, extent_of, recoloured
 from factory.scenes.topdown import MapContent, encode_map
 from schemas.config import SpawnConfig, TaskConfig
 from schemas.errors import WorldError
@@ -113,24 +114,28 @@ def find_reachable(file: str, terrain: Terrain, shown: ShownScene, floor_m: floa
     targets = apply_target_edits(listed, shown.chosen)
     if not targets:
         shown_map = MapContent.of_terrain(file, terrain, spawns, [target for target, _ in _candidates_of(shown)])
-        raise UnreachableTargets(_why_no_target(file, shown, terrain, notes), encode_map(shown_map))
+        raise UnreachableTargets(
+            _why_no_target(file, shown, terrain, find_missing_floor(shown.triangles(), floor_m) or (notes or [""])[-1]),
+            encode_map(shown_map),
+        )
     named = with_colours(targets, shown.parts, owners=shown.owners, book=shown.book, uncoloured=shown.uncoloured)
     targets = recoloured(named, shown.chosen)
     return Reachable(targets, spawns, sees_matrix(terrain, points, targets, TaskConfig()))
 
 
-def _why_no_target(file: str, shown: ShownScene, terrain: Terrain, notes: list[str]) -> str:
+def _why_no_target(file: str, shown: ShownScene, terrain: Terrain, reason: str) -> str:
     counts = Counter(candidate.category for candidate in shown.candidates)
     if not counts:
         paths = sorted(set(shown.owners))
         return (
             f"{file} has no instance of a known category among {len(paths)} objects (such as {', '.join(paths[:5])}); "
-            "name prims after their category or give category rules with --rules"
+            "name prims after their category, give category rules with --rules, or give the boxes of targets in a file "
+            f"with --targets (docs/scenes/own.md; {extent_of(shown.parts)})"
         )
     listed = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
     return (
         f"{file} has no reachable target: found {listed}, {free_area_m2(terrain)} m2 of connected floor; "
-        f"the robot needs 0.72 m wide passages; --floor M adds a floor to a file without one ({notes[-1]})"
+        f"the robot needs 0.72 m wide passages ({reason})"
     )
 
 

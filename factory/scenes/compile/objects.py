@@ -15,7 +15,7 @@ from factory.scenes.compile.surfaces import materials_of, target_colour, triangl
 from factory.scenes.compile.textures import DrawFunction, TextureBook, load_textures
 from factory.scenes.importer import Extraction, Part, TextureRecipe
 from factory.scenes.rules import RuleBook
-from factory.scenes.targets.candidates import Candidate, find_candidates, find_copies
+from factory.scenes.targets.candidates import Candidate, find_candidates, find_copies, find_sections, joined
 from factory.scenes.targets.target_edits import apply_candidate_edits
 from factory.scenes.targets.target_list import TargetList
 from schemas.errors import WorldError
@@ -146,7 +146,7 @@ def show_parts(
 def _joined(
     candidates: tuple[Candidate, ...], owners: tuple[str, ...], chosen: TargetList | None, notes: list[str]
 ) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
-    """Returns the candidates and owners, with one object for several that are drawn at one place.
+    """Returns the candidates and owners, with one object for several that are drawn at one place or are its parts.
 
     Candidates that the user's list names remain separate.
     """
@@ -154,7 +154,11 @@ def _joined(
     copies = find_copies([candidate for candidate in candidates if candidate.path not in listed])
     notes += [f"{copy}: drawn at the place of {first}, one object" for copy, first in copies.items()]
     kept = tuple(candidate for candidate in candidates if candidate.path not in copies)
-    return kept, tuple(copies.get(owner, owner) for owner in owners)
+    sections = find_sections([candidate for candidate in kept if candidate.path not in listed])
+    notes += [f"{section}: touches {first}, one object" for section, first in sections.items()]
+    first_of = copies | sections
+    owned = (sections.get(first, first) for first in (copies.get(owner, owner) for owner in owners))
+    return joined(kept, first_of), tuple(owned)
 
 
 def _read_texture(extraction: Extraction, name: str) -> bytes | TextureRecipe | None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.importer import Part, Surface
-from factory.scenes.navigation.floor import find_floor_height
+from factory.scenes.navigation.floor import SUNK_M, find_floor_height, lowest_level
 from schemas.support import portable
 from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats, Singles
@@ -20,6 +20,7 @@ from workers.geometry.rays import Caster
 _CEILING_PATH = "/AddedCeiling"
 _FLOOR_PATH = "/AddedFloor"
 _PAINT = Surface(colour=(0.72, 0.72, 0.70))
+_FLUSH_M = 0.01
 _EYE_M = 0.35
 _REACH_M = 200.0
 _DIRECTIONS = 48
@@ -49,16 +50,24 @@ def with_ceiling(parts: Sequence[Part], height_m: float | None) -> tuple[Part, .
     return (*parts, _plane(_CEILING_PATH, shown, find_floor_height(shown) + height_m, is_seen_from_below=True))
 
 
-def with_floor(parts: Sequence[Part], height_m: float | None) -> tuple[Part, ...]:
+def with_floor(parts: Sequence[Part], height_m: float | None, notes: list[str]) -> tuple[Part, ...]:
     """Returns the parts and a flat floor over their extent; without a height, only the parts.
 
     Args:
         parts: parts of the scene; the visible ones determine the extent of the floor.
         height_m: height of the floor in the scene, metres.
+        notes: receives a note if there is a floor at this height; the added one is then slightly below it.
     """
     if height_m is None:
         return tuple(parts)
     shown = np.concatenate([part.triangles for part in parts if not part.is_collider])
+    lowest, area = lowest_level(shown, height_m, _FLUSH_M)
+    if lowest is not None:
+        height_m = min(height_m, lowest - SUNK_M)
+        notes.append(
+            f"--floor: the file has level faces of {area:.3g} m2 at this height; the added floor is slightly below "
+            f"them, at {height_m:.4g} m"
+        )
     return (*parts, _plane(_FLOOR_PATH, shown, height_m, is_seen_from_below=False))
 
 

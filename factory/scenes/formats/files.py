@@ -21,6 +21,7 @@ from schemas.errors import WorldError
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+_TEXTURES = Path("materials", "textures")
 _OUTSIDE = "files outside of the scene's folder (move them below it, or allow them with --allow-outside)"
 
 
@@ -61,7 +62,7 @@ class SceneFiles:
                 "reduce its meshes and textures, or raise --max-file-mb if memory allows"
             )
         data = path.read_bytes()
-        self.digests[self._seen(path)] = hashlib.sha256(data).hexdigest()
+        self.digests[self.shown(path)] = hashlib.sha256(data).hexdigest()
         return data
 
     def read_xml(self, path: Path) -> Element:
@@ -74,8 +75,8 @@ class SceneFiles:
         try:
             root = parse_xml(data, repairs)
         except ValueError as error:
-            raise ValueError(f"{error}" if path == self.root else f"{self._seen(path)}: {error}") from error
-        self.scene.notes += [f"{self._seen(path)}: {repair}" for repair in repairs]
+            raise ValueError(f"{error}" if path == self.root else f"{self.shown(path)}: {error}") from error
+        self.scene.notes += [f"{self.shown(path)}: {repair}" for repair in repairs]
         return root
 
     def is_usable(self, path: Path, user: str) -> bool:
@@ -91,7 +92,7 @@ class SceneFiles:
 
     def add_fault(self, reason: str, reference: Path | str, user: str) -> None:
         """Records a reference that cannot be used."""
-        seen = self._seen(reference) if isinstance(reference, Path) else reference
+        seen = self.shown(reference) if isinstance(reference, Path) else reference
         self._faults.setdefault(reason, {}).setdefault(seen, user)
 
     def require_all(self, may_skip: bool = True) -> None:
@@ -124,16 +125,31 @@ class SceneFiles:
             reference: path or URI of the image, as authored.
             user: node that uses the texture, for the note.
         """
-        place = place_of(folder, reference)
+        place = self.find_texture(folder, reference)
         return self.readable.kept_inside(replace(surface, texture=str(place)), user, self.scene.notes)
+
+    def find_texture(self, folder: Path, reference: str) -> Path:
+        """Returns the path of a texture, which may not exist; `folder` as for `textured`.
+
+        If there is no such file, a file of its name is searched where Gazebo searches the textures of a model: beside
+        the file that names it, and in `materials/textures` of its folder and of the two above.
+        """
+        place = place_of(folder, reference)
+        if place.is_file() or not place.name:
+            return place
+        models = (folder, folder.parent, folder.parent.parent)
+        others = (folder / place.name, *(model / _TEXTURES / place.name for model in models))
+        absolute = (place_of(other, "") for other in others)
+        return next((other for other in absolute if other.is_file() and self.readable.encloses(str(other))), place)
 
     def digests_with_textures(self, parts: list[Part]) -> dict[str, str]:
         """Returns the digests of all files, with those of the textures of parts."""
         names = frozenset().union(*(part.surface.images for part in parts)) - self.images.keys()
-        shas = {self._seen(Path(name)): hashlib.sha256(read_asset(name) or b"").hexdigest() for name in names}
+        shas = {self.shown(Path(name)): hashlib.sha256(read_asset(name) or b"").hexdigest() for name in names}
         return self.digests | shas
 
-    def _seen(self, path: Path) -> str:
+    def shown(self, path: Path) -> str:
+        """Returns the path of a file relative to the folder of the root file, for messages."""
         return os.path.relpath(path, self.root.parent)
 
 

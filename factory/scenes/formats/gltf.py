@@ -223,7 +223,7 @@ def _textured(document: Document, surface: Surface, info: dict[str, Any], user: 
     source = texture.get("source", webp.get("source"))
     if source is None:
         kinds = ", ".join(extensions) or "no image"
-        remedy = f"; decode it with: {_rewrite(document, 'ktxdecompress')}" if _KTX in extensions else ""
+        remedy = f"; decode it with: {_rewrite(document, 'ktxdecompress')}{_KTX_PROGRAM}" if _KTX in extensions else ""
         document.files.scene.notes.append(f"{user}: texture of {kinds} is not supported, shown in one colour{remedy}")
         return surface
     transform = (info.get("extensions") or {}).get("KHR_texture_transform") or {}
@@ -306,12 +306,16 @@ def read_gltf(data: bytes, files: SceneFiles) -> Content:
     return reader.content
 
 
+_KTX_PROGRAM = " (needs the program ktx of KTX-Software)"
+
+
 def _require_extensions(document: Document) -> None:
     needed = [str(name) for name in document.json.get("extensionsRequired") or ()]
     lacking = [name for name in needed if name not in _SUPPORTED and not name.startswith(_IGNORABLE)]
     if lacking:
         command = _rewrite(document, "ktxdecompress" if _KTX in lacking else "copy", is_error=True)
-        raise ValueError(f"it needs {', '.join(lacking)}, not supported; export it without, or: {command}")
+        needs = _KTX_PROGRAM if _KTX in lacking else ""
+        raise ValueError(f"it needs {', '.join(lacking)}, not supported; export it without, or: {command}{needs}")
 
 
 def _rewrite(document: Document, verb: str, is_error: bool = False) -> str:

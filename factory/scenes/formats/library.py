@@ -5,7 +5,7 @@ Reads each mesh once. Records missing files, so one error names all of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import quote, unquote
@@ -17,11 +17,14 @@ from factory.scenes.formats.files import SceneFiles, place_of
 from factory.scenes.formats.gltf import read_gltf
 from factory.scenes.formats.meshes import read_ply, read_stl
 from factory.scenes.formats.obj import read_obj
-from factory.scenes.formats.shapes import BROKEN, Content, ShapeNode, place_content, solid_piece, to_metres
+from factory.scenes.formats.ogre import OgreMaterial, read_materials
+from factory.scenes.formats.shapes import BROKEN, Content, place_content, solid_piece, to_metres
 from factory.scenes.formats.xml_text import text_of
+from factory.scenes.importer.collect import Piece
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons
 from factory.scenes.stage_file import kind_of_file
+from schemas.support.geometry import cross
 from schemas.support.numpy_types import Floats
 
 NAMED = ("model://", "package://")
@@ -67,6 +70,8 @@ class Library:
 
     files: SceneFiles
     _contents: dict[Path, Content | None] = field(default_factory=dict)
+    _unknown: set[str] = field(default_factory=set)
+    _scripts: dict[Path, dict[str, OgreMaterial]] = field(default_factory=dict)
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -86,7 +91,46 @@ class Library:
         is_named = uri.startswith(NAMED)
         path = uri.partition("://")[2].strip("/") if is_named else uri
         places = [place_of(each, path) for each in (*(() if is_named else (folder,)), *self.folders)]
-        return next((place for place in places if place.exists()), places[-1 if is_named else 0])
+        own = _own_places(folder, path) if is_named else ()
+        return next((place for place in (*places, *own) if place.exists()), places[-1 if is_named else 0])
+
+    def find_material(self, name: str, uris: Sequence[str], folder: Path) -> tuple[OgreMaterial, Path] | None:
+        """Returns the material of a script of Ogre and the script's file, or `None` if no script defines it.
+
+        Args:
+            name: name of the material.
+            uris: URIs of scripts and of folders with scripts; `materials/scripts` of the model is searched, too.
+            folder: folder of the file that refers to the material.
+        """
+        places = [self.find(uri, folder) for uri in uris]
+        for place in dict.fromkeys((*places, folder / "materials" / "scripts")):
+            files = sorted(place.glob("*.material")) if place.is_dir() else [place]
+            for file in files:
+                if file.suffix == ".material" and file.is_file() and name in self._materials(file):
+                    return self._materials(file)[name], file
+        return None
+
+    def is_new(self, material: str) -> bool:
+        """Returns whether an unknown material is met for the first time, so it is noted once."""
+        is_new = material not in self._unknown
+        self._unknown.add(material)
+        return is_new
+
+    def _materials(self, file: Path) -> dict[str, OgreMaterial]:
+        if file not in self._scripts:
+            self._scripts[file] = {}
+            if self.files.readable.encloses(str(file)):
+                try:
+                    self._scripts[file] = read_materials(self.files.read(file).decode("utf-8-sig", errors="replace"))
+                except ValueError as error:
+                    self.files.scene.notes.append(f"{self.files.shown(file)}: {error}; its materials are not used")
+        return self._scripts[file]
+
+    def textured(self, surface: Surface, reference: str, folders: Iterable[Path], user: str) -> Surface:
+        """Returns a surface with the texture that is found first in folders; see `SceneFiles.textured`."""
+        places = [self.files.find_texture(folder, reference) for folder in folders]
+        place = next((place for place in places if place.is_file()), places[0])
+        return self.files.textured(surface, place.parent, place.name, user)
 
     def _copies(self, uri: str) -> Iterator[Path]:
         """Yields the places of a copy of a model of Fuel: a folder with its name, or in the cache of Gazebo."""
@@ -138,9 +182,7 @@ class Library:
             return
         shapes = [shape for shape in content.shapes if submesh in ("", shape.path.rpartition("/")[2])]
         if surface is not None:
-            shapes = [
-                replace(shape, pieces=tuple(replace(p, surface=surface) for p in shape.pieces)) for shape in shapes
-            ]
+            shapes = [replace(each, pieces=tuple(_covered(p, surface) for p in each.pieces)) for each in shapes]
         up = content.up if kind_of_file(mesh) == "glTF" else "z"  # Gazebo and RViz ignore up_axis of COLLADA
         matrix = np.asarray(to_world @ to_metres(content.metres_per_unit or 1.0, up or "z"))
         place_content(
@@ -164,7 +206,10 @@ class Library:
         if solid is None:
             scene.notes.append(f"{path}: geometry <{kind}> is not supported, skipped")
             return
-        piece = solid_piece(solid, surface or Surface(colour=(0.4, 0.4, 0.4)))
+        surface = surface or Surface(colour=(0.4, 0.4, 0.4))
+        piece = solid_piece(solid, surface)
+        if surface.texture:
+            piece = _covered(replace(piece, uvs=_projected(piece.triangles)), surface)
         scene.place(path, [piece], to_world, is_collider)
 
     def _content(self, mesh: Path, user: str) -> Content | None:
@@ -177,8 +222,41 @@ class Library:
         return self._contents[mesh]
 
 
-def _recoloured(shape: ShapeNode, surface: Surface) -> ShapeNode:
-    return replace(shape, pieces=tuple(replace(piece, surface=surface, tints=None) for piece in shape.pieces))
+def _own_places(folder: Path, path: str) -> Iterator[Path]:
+    """Yields the place of a file of a model that names itself: its folder has its name, or a version of Fuel below."""
+    name, _, rest = path.partition("/")
+    for model in (folder, folder.parent, folder.parent.parent):
+        if (model / "model.config").is_file() and _plain(unquote(name)) in (
+            _plain(model.name),
+            _plain(model.parent.name),
+        ):
+            yield place_of(model, rest)
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace(" ", "_").replace("-", "_")
+
+
+def _covered(piece: Piece, surface: Surface) -> Piece:
+    """Returns a piece with another surface, whose transform of texture coordinates is applied."""
+    if piece.uvs is None or surface.uv_affine is None:
+        return replace(piece, surface=surface)
+    rows = np.array(surface.uv_affine).reshape(2, 3)
+    return replace(piece, uvs=np.asarray(piece.uvs @ rows[:, :2].T + rows[:, 2]), surface=surface)
+
+
+def _projected(triangles: Floats) -> Floats:
+    """Returns texture coordinates (T, 3, 2) of a solid: each face shows the texture once, projected along an axis."""
+    corners = triangles.reshape(-1, 3)
+    low, size = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-9)
+    share = (triangles - low) / size
+    normals = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    axis = np.abs(normals).argmax(axis=1)
+    along, up = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
+    rows = np.arange(len(triangles))
+    u, v = share[rows, :, along], share[rows, :, up]
+    is_mirrored = (normals[rows, axis] > 0) == (axis == 1)
+    return np.stack([np.where(is_mirrored[:, None], 1 - u, u), v], axis=2)
 
 
 def model_file(folder: Path, files: SceneFiles) -> Path | None:

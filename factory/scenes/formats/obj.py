@@ -163,6 +163,7 @@ def read_mtl(text: str, folder: Path, files: SceneFiles) -> dict[str, Surface]:
         ValueError: a number is not valid.
     """
     surfaces_by_name: dict[str, Surface] = {}
+    dissolved: set[str] = set()  # `d` has precedence over `Tr`: SketchUp writes `d 1` and `Tr 1` for opaque materials
     name = ""
     for line in text.splitlines():
         key, _, rest = line.strip().partition(" ")
@@ -176,9 +177,10 @@ def read_mtl(text: str, folder: Path, files: SceneFiles) -> dict[str, Surface]:
             surfaces_by_name[name] = replace(surface, colour=colour, fallback=colour)
         elif key == "map_kd":
             surfaces_by_name[name] = files.textured(surface, folder, _file_of(rest), f"material {name}")
-        elif key in ("d", "tr"):
+        elif key == "d" or (key == "tr" and name not in dissolved):
             value = float(rest.split()[-1])
             surfaces_by_name[name] = replace(surface, opacity=value if key == "d" else 1.0 - value)
+            dissolved |= {name} if key == "d" else set()
         elif key == "ke":
             glow = display_colour(*_triple(rest))
             surfaces_by_name[name] = replace(surface, emits=max(glow) > 0.05, emission=glow)

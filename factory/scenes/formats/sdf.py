@@ -16,12 +16,13 @@ import numpy as np
 
 from factory.scenes.formats.files import SceneFiles
 from factory.scenes.formats.library import NAMED, REMOTE, Library, fuel_name, model_file
+from factory.scenes.formats.ogre import OgreMaterial
 from factory.scenes.formats.poses import numbers, pose_matrix, quaternion_matrix
 from factory.scenes.formats.shapes import BROKEN, LIGHTS_NOTE, ROOT, Names, display_colour, solid_piece
 from factory.scenes.formats.xml_text import text_of
 from factory.scenes.importer.content import Surface
 from factory.scenes.importer.solids import Polygons, box, capsule, cylinder, plane, sphere
-from factory.scenes.navigation.floor import level_area_m2
+from factory.scenes.navigation.floor import SUNK_M, lowest_level
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 
@@ -107,9 +108,28 @@ _SCRIPTS = MappingProxyType(
         "gold": (0.8, 0.65, 0.12),
         "wood": (0.6, 0.45, 0.3),
         "residential": (0.7, 0.7, 0.7),
+        "lightwood": (0.7, 0.55, 0.4),
+        "paintedwall": (0.78, 0.74, 0.68),
+        "ceilingtiled": (0.85, 0.85, 0.83),
+        "grass": (0.25, 0.4, 0.18),
+        "bricks": (0.6, 0.33, 0.27),
+        "rockwall": (0.5, 0.47, 0.43),
+        "road": (0.3, 0.3, 0.3),
+        "asphalt": (0.3, 0.3, 0.3),
+        "motorway": (0.3, 0.3, 0.3),
+        "pedestrian": (0.55, 0.53, 0.5),
+        "runway": (0.35, 0.35, 0.35),
+        "zincyellow": (0.9742, 0.94, 0.0),
+        "darkyellow": (0.7, 0.7, 0.0),
+        "darkorange": (1.0, 0.2645, 0.0),
+        "indigo": (0.33, 0.0, 0.5),
+        "shell": (0.87, 0.82, 0.72),
+        "chrome": (0.75, 0.75, 0.75),
+        "whiteglow": (1.0, 1.0, 1.0),
+        "cloudysky": (0.7, 0.78, 0.87),
     }
 )
-"""Colours of the materials `Gazebo/...`, lower case."""
+"""Colours of the materials `Gazebo/...`, lower case; of those with a texture, its mean by eye."""
 
 
 def place_geometry(library: Library, shape: Element, path: Path, name: str, to_world: Floats) -> None:
@@ -187,29 +207,59 @@ def _surface(library: Library, shape: Element, path: Path, name: str) -> Surface
     opacity = 1.0 - numbers(shape.findtext("transparency"), (0.0,))[0]
     if material is None:
         return None
-    red, green, blue, alpha = _rgba(material.findtext("diffuse"), _script(material))
-    glow = display_colour(*_rgba(material.findtext("emissive"), (0.0, 0.0, 0.0))[:3])
-    colour = display_colour(red, green, blue)
-    surface = Surface(
-        *(colour, "", colour),
-        opacity=alpha * opacity,
-        emits=max(glow) > 0.05,
-        emission=glow,
-        name=(material.findtext("script/name") or "").strip(),
-    )
+    scripted, base = _scripted(library, material, path, name)
+    red, green, blue, alpha = _rgba(material.findtext("diffuse"), (0.7, 0.7, 0.7))
+    surface = replace(scripted, opacity=scripted.opacity * opacity)
+    if material.find("diffuse") is not None:
+        colour = display_colour(red, green, blue)
+        surface = replace(surface, colour=colour, fallback=colour, opacity=alpha * opacity)
+    if material.find("emissive") is not None:
+        glow = display_colour(*_rgba(material.findtext("emissive"), (0.0, 0.0, 0.0))[:3])
+        surface = replace(surface, emits=max(glow) > 0.05, emission=glow)
     albedo = material.findtext("pbr/metal/albedo_map") or material.findtext("pbr/specular/albedo_map")
     if albedo:
         image = library.find(albedo.strip(), path.parent)
         white = replace(surface, colour=(1.0, 1.0, 1.0)) if material.find("diffuse") is None else surface
-        return library.files.textured(white, image.parent, image.name, name)
+        return library.textured(white, image.name, (image.parent, path.parent), name)
+    if base is not None and base[0].texture:
+        script, file = base
+        uris = [library.find(uri, path.parent) for uri in _uris(material)]
+        folders = [folder for folder in uris if folder.is_dir()]
+        folders += [file.parent, file.parent.parent / "textures", path.parent]
+        return script.textured(library.textured(surface, script.texture, folders, name))
     is_empty = not any(material.find(tag) is not None for tag in ("diffuse", "script", "emissive", "ambient"))
     return None if is_empty else surface
 
 
-def _script(material: Element) -> tuple[float, float, float]:
-    name = (material.findtext("script/name") or "").strip().lower().removeprefix("gazebo/")
-    words = (colour for key, colour in _SCRIPTS.items() if name.startswith(key))
-    return _SCRIPTS.get(name) or next(words, (0.7, 0.7, 0.7))
+def _uris(material: Element) -> list[str]:
+    return [(uri.text or "").strip() for uri in material.findall("script/uri") if (uri.text or "").strip()]
+
+
+def _scripted(
+    library: Library, material: Element, path: Path, user: str
+) -> tuple[Surface, tuple[OgreMaterial, Path] | None]:
+    """Returns the colours of the script of a material, or gray; and the script's material and file, if it is found."""
+    name = text_of(material, "script/name")
+    found = library.find_material(name, _uris(material), path.parent) if name else None
+    if found is not None:
+        return found[0].surface(), found
+    known = _gazebo_colour(name)
+    if name and known is None and library.is_new(name):
+        searched = ", ".join(_uris(material)) or "materials/scripts"
+        library.files.scene.notes.append(
+            f"{user}: material {name} of {library.files.shown(path)} is defined neither in {searched} nor by Gazebo, "
+            "all that use it are shown in gray"
+        )
+    colour = display_colour(*(known or (0.7, 0.7, 0.7)))
+    return Surface(colour, "", colour, name=name), None
+
+
+def _gazebo_colour(name: str) -> tuple[float, float, float] | None:
+    """Returns the sRGB colour of a material of Gazebo, such as `Gazebo/Red`, or `None`."""
+    plain = name.lower().removeprefix("gazebo/")
+    if plain in _SCRIPTS or plain == name.lower():
+        return _SCRIPTS.get(plain)
+    return next((colour for key, colour in _SCRIPTS.items() if plain.startswith(key)), None)
 
 
 def _rgba(text: str | None, default: tuple[float, float, float]) -> tuple[float, float, float, float]:
@@ -348,8 +398,6 @@ def _is_built_in(reader: _Reader, include: Element, uri: str, path: Path, parent
 
 
 _GROUND_M = 100.0
-_SUNK_M = 0.004
-"""Depth of a built-in ground plane below a floor at its height, so the two do not flicker; within the floor's skin."""
 
 
 def _place_grounds(reader: _Reader) -> None:
@@ -359,8 +407,9 @@ def _place_grounds(reader: _Reader) -> None:
     for path, uri, place in reader.grounds.values():
         scene.notes.append(f"{path}: {uri} is not in a searched folder; taken as a plane of {_GROUND_M:g} m")
         sunk = np.array(place)
-        if shown and level_area_m2(np.concatenate(shown), float(place[2, 3]), _SUNK_M) > 0:
-            sunk[2, 3] -= _SUNK_M
+        lowest = lowest_level(np.concatenate(shown), float(place[2, 3]), SUNK_M)[0] if shown else None
+        if lowest is not None:
+            sunk[2, 3] = min(float(place[2, 3]), lowest - SUNK_M)
         piece = solid_piece(plane(_GROUND_M / 2, _GROUND_M / 2), Surface(*(_GROUND, "", _GROUND)))
         scene.place(path, [piece], sunk)
 

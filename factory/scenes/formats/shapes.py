@@ -83,7 +83,7 @@ BROKEN = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, R
 LABEL_KEYS = ("semantic_label", "semantic", "category", "class", "label")
 """Keys of extra data that can contain a semantic label, in order of precedence."""
 _UNSAFE = re.compile(r"[^\w.-]+")
-_COLLIDER_PREFIX = re.compile(r"^(ucx|ubx|usp|ucp)_", re.IGNORECASE)
+_COLLIDER_NAME = re.compile(r"^(ucx|ubx|usp|ucp)_|(^|[_.-])(hit|collision)_?box(es)?([_.\d-]|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def place_content(scene: Collector, path: str, content: Content, to_world: Float
         is_collider: whether the shapes are for collision only.
     """
     for shape in content.shapes:
-        collides = is_collider or bool(_COLLIDER_PREFIX.match(shape.path.rpartition("/")[2]))
+        collides = is_collider or bool(_COLLIDER_NAME.search(shape.path.rpartition("/")[2]))
         try:
             with np.errstate(all="ignore"):
                 scene.place(path + shape.path, shape.pieces, to_world @ shape.to_root, collides)

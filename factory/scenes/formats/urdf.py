@@ -43,6 +43,7 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
     """
     robot = files.read_xml(path)
     _require_expanded(robot, path, files)
+    files.scene.notes += _unknown_elements(robot)
     library, names = Library(files), Names()
     materials = {str(element.get("name")): element for element in robot.iter("material") if len(element)}
     places = _link_places(robot)
@@ -66,6 +67,21 @@ def read_urdf(path: Path, files: SceneFiles) -> None:
                 except BROKEN as error:
                     files.scene.notes.append(f"{shape_path}: skipped, {error}")
     files.require_all()
+
+
+_OF_LINKS = frozenset({"visual", "collision", "inertial", "contact", "gazebo", "sensor", "self_collision_checking"})
+_OF_SHAPES = frozenset({"origin", "geometry", "material", "name", "verbose", "contact_coefficients"})
+
+
+def _unknown_elements(robot: Element) -> list[str]:
+    """Returns a note on the elements of links and shapes that URDF does not define, or nothing."""
+    links = robot.findall("link")
+    below = [child for link in links for child in link if child.tag not in _OF_LINKS]
+    shapes = (shape for link in links for shape in link if shape.tag in ("visual", "collision"))
+    below += [child for shape in shapes for child in shape if child.tag not in _OF_SHAPES]
+    names = sorted({f"<{child.tag}>" for child in below if not _is_xacro(child)})
+    shown = ", ".join(name[:40] for name in names[:5]) + (", ..." if len(names) > 5 else "")
+    return [f"elements of links that URDF does not define are ignored: {shown}"] if names else []
 
 
 _SILENT = ("arg", "property")

@@ -7,9 +7,11 @@ from the digest instead, packages with the same digest would have different byte
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 _LONGEST = 300
+_MOST_KINDS = 5
+_VARYING = re.compile(r"<[^>]*>|@[^@]*@|'[^']*'|\"[^\"]*\"|/[\w/.:\[\]-]+|\d+")
 _NOISE = (
     re.compile(r"\s*\(\w+ stage on stage @[^@]*@ <0x[0-9a-f]+>\)"),
     re.compile(r",@anon:0x[0-9a-f]+:[^@]*@"),  # the anonymous session layer
@@ -44,6 +46,26 @@ def format_warning(text: str) -> str:
     remedies = (remedy for words, remedy in _REMEDIES if words in line.lower())
     remedy = next(remedies, "")
     return f"{line[:_LONGEST].rstrip(' .;')}; {remedy}" if remedy else line[:_LONGEST]
+
+
+def summarise(warnings: Sequence[str]) -> list[str]:
+    """Returns one line for each kind of warning: its first text, and the number of similar ones.
+
+    Warnings that differ only in prims, files, quoted names or numbers are of one kind. The last line counts the kinds
+    that are not listed.
+
+    Args:
+        warnings: formatted warnings, sorted.
+    """
+    kinds: dict[str, list[str]] = {}
+    for line in warnings:
+        kinds.setdefault(_VARYING.sub("#", line), []).append(line)
+    lines = [
+        first if not others else f"{first} ({len(others)} similar warnings of OpenUSD)"
+        for first, *others in list(kinds.values())[:_MOST_KINDS]
+    ]
+    rest = sum(map(len, list(kinds.values())[_MOST_KINDS:]))
+    return [*lines, f"{rest} other warnings of OpenUSD"] if rest else lines
 
 
 def format_error(text: str) -> str:

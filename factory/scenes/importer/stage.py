@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
-from factory.scenes.importer.diagnostics import format_error, format_warning, text_of
+from factory.scenes.importer.diagnostics import format_error, format_warning, summarise, text_of
 from factory.scenes.stage_file import require_stage
 from schemas.errors import WorldError
 
@@ -87,7 +87,9 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = format_error(text_of(error.__str__))
-        raise WorldError(f"{path.name} is not a readable USD stage ({reason}); check it with usdchecker") from error
+        raise WorldError(
+            f"{path.name} is not a readable USD stage ({reason}); save it again with the program that wrote it"
+        ) from error
     notes += take_warnings(listener)
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
@@ -107,7 +109,7 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
 
 
 def take_warnings(listener: Any, ignored: str | None = None) -> list[str]:
-    """Returns the warnings that a diagnostic delegate of USD has collected, one line each.
+    """Returns the warnings that a diagnostic delegate of USD has collected: a line with a count for each kind.
 
     Args:
         listener: delegate; it is emptied.
@@ -115,7 +117,7 @@ def take_warnings(listener: Any, ignored: str | None = None) -> list[str]:
     """
     texts = (text_of(partial(getattr, one, "commentary")) for one in listener.TakeUncoalescedDiagnostics())
     # USD's threads emit warnings in any order
-    return sorted(format_warning(text) for text in texts if ignored is None or ignored not in text)
+    return summarise(sorted(format_warning(text) for text in texts if ignored is None or ignored not in text))
 
 
 def _root_prims_note(stage: Any) -> str:

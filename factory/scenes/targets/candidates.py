@@ -6,15 +6,16 @@ does not depend on the machine. Does not read stages and does not compute reacha
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.importer import Extraction, Part
-from factory.scenes.rules import CategoryRule, RuleBook
+from factory.scenes.rules import CategoryRule, RuleBook, split_name
 from schemas.scene import Footprint
 from schemas.support.numpy_types import Floats
 
@@ -122,6 +123,32 @@ def find_candidates(
     return tuple(sorted(_search(tree, ""), key=lambda candidate: candidate.path))
 
 
+def find_named(extraction: Extraction, kind_of_name: Callable[[str, str], str]) -> dict[str, list[Box]]:
+    """Returns the boxes of the outermost prims with a name of each kind, whatever their size.
+
+    Args:
+        extraction: extracted stage.
+        kind_of_name: function that returns the kind of a name or label and the path above it, or an empty string.
+    """
+    tree = _Tree(extraction.parts, extraction, RuleBook(rules=()), lambda _: "")
+    _grow(tree)
+    kinds: dict[str, list[Box]] = defaultdict(list)
+
+    def kind_of(path: str) -> str:
+        above, _, name = path.rpartition("/")
+        return "" if path in extraction.groups else kind_of_name(extraction.labels.get(path) or name, above)
+
+    pending = list(tree.children.get("", ()))
+    while pending:
+        path = pending.pop()
+        kind, children = kind_of(path), tree.children.get(path, [])
+        if kind and sum(kind_of(child) == kind for child in children) < 2:
+            kinds[kind].append(tree.boxes[path])
+        else:
+            pending += children
+    return kinds
+
+
 _SAME_SHARE = 0.85
 """Two candidates of a category are one object if their boxes share this part of their union."""
 
@@ -139,6 +166,71 @@ def find_copies(candidates: Sequence[Candidate]) -> dict[str, str]:
                 copies[later.path] = first.path
                 break
     return copies
+
+
+_TOUCHING_M = 0.02
+_SEATS = ("sofa", "bed")
+_APPLIANCES = frozenset(
+    {"refrigerator", "oven", "sink", "dishwasher", "washing_machine", "toilet", "bathtub", "microwave"}
+)
+_INSIDE_SHARE = 0.95
+_SECTION = re.compile(r"left|right|middle|mid|center|centre|corner|section|segment|module|element|part|link|\d+|[a-z]")
+_STRUCTURE = re.compile(r"seat|back|arm|base|frame|body|top|bottom|front|side|rest|backrest|armrest|cushion|leg")
+
+
+def find_sections(candidates: Sequence[Candidate]) -> dict[str, str]:
+    """Returns the path of each candidate that is a part of an earlier one, to which it is joined -> that one.
+
+    Parts are candidates of one category that touch and whose names have only different words for parts: `sofa_seat` and
+    `sofa_back`. Sofas and beds also have sections: `couch_left` and `couch_middle`, and
+    appliances have parts of any name inside them: an oven in an `oven_area`.
+
+    Args:
+        candidates: candidates in the order of their paths.
+    """
+    sections: dict[str, str] = {}
+    for number, later in enumerate(candidates):
+        for first in candidates[:number]:
+            if first.category == later.category and _is_section(first, later):
+                sections[later.path] = sections.get(first.path, first.path)
+                break
+    return sections
+
+
+def joined(candidates: Sequence[Candidate], parts: Mapping[str, str]) -> tuple[Candidate, ...]:
+    """Returns the candidates with the boxes of their parts, which `parts` assigns to the path of a candidate."""
+    boxes: dict[str, list[Box]] = defaultdict(list)
+    for candidate in candidates:
+        boxes[parts.get(candidate.path, candidate.path)].append(candidate.box)
+    return tuple(
+        replace(one, box=_union(boxes[one.path])) if len(boxes[one.path]) > 1 else one
+        for one in candidates
+        if one.path not in parts
+    )
+
+
+def _union(boxes: Sequence[Box]) -> Box:
+    return np.stack([np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)])
+
+
+def _is_section(first: Candidate, later: Candidate) -> bool:
+    apart = np.maximum(first.box[0], later.box[0]) - np.minimum(first.box[1], later.box[1])
+    if apart.max() > _TOUCHING_M or _parent(first.path) != _parent(later.path):
+        return False
+    if first.category in _APPLIANCES and _inside(first, later) >= _INSIDE_SHARE:
+        return True
+    names = [split_name(one.path.rpartition("/")[2]).split("_") for one in (first, later)]
+    differing = {*names[0]} ^ {*names[1]}
+    if first.category in _SEATS:
+        return all(_SECTION.fullmatch(word) or _STRUCTURE.fullmatch(word) for word in differing)
+    return bool(differing) and all(_STRUCTURE.fullmatch(word) for word in differing)
+
+
+def _inside(first: Candidate, later: Candidate) -> float:
+    """Returns the volume of the intersection of two boxes as a share of the smaller one."""
+    low, high = np.maximum(first.box[0], later.box[0]), np.minimum(first.box[1], later.box[1])
+    common, one, other = (np.maximum(size, 1e-3).prod() for size in (high - low, *map(_size, (first, later))))
+    return float(common / min(one, other))
 
 
 def _share(first: Candidate, later: Candidate) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from factory.scenes.yaml_text import os_reason, read_yaml
 from schemas.base import Model, Name
 from schemas.errors import UsageError
-from schemas.scene import SceneInfo
+from schemas.scene import SceneInfo, Target
 from schemas.support.shell import quoted
 from schemas.terms import COLOUR_NAMES
 
@@ -23,11 +23,19 @@ _HEAD = """\
 # The targets of {scene}. Set `enabled: false` to disable one, change its category, colour or id, delete rows that
 # are not targets, or add a prim by its path; then `factory scene {verb} ... --targets FILE`, or `targets = "FILE"`
 # below the scene in a plan. Centroid and size (metres) are information only and are not read back.
+# `box_m` instead of `prim_path` makes the part of a mesh in a box a target: its lower and upper corner, metres.
 """
+_FARTHEST_M = 10_000.0
+BOXES = "/Boxes"
+"""Path of the objects that boxes cut out of the meshes of a scene."""
+
+
+Coordinate = Annotated[float, Field(ge=-_FARTHEST_M, le=_FARTHEST_M)]
+Corner = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class TargetEntry(Model):
-    """Row of the list: a prim with the id, category and colour of its target."""
+    """Row of the list: a prim, or the part of the scene in a box, with the id, category and colour of its target."""
 
     id: Name
     """Target id in the dataset, e.g. `chair_007`."""
@@ -35,9 +43,31 @@ class TargetEntry(Model):
     colour: str = "unknown"
     """One of the eleven basic colours, or `unknown`."""
     enabled: bool = True
-    prim_path: Annotated[str, Field(pattern="^/")]
+    prim_path: Annotated[str, Field(pattern="^/")] = ""
+    """Path of the prim; of a row with a box, `/Boxes/` and its id."""
+    box_m: tuple[Corner, Corner] | None = None
+    """Lower and upper corner of a box, world metres, z up: the part of the scene in it is the target."""
     centroid_m: tuple[float, float, float] | None = None
     size_m: tuple[float, float, float] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_a_path(cls, row: Any) -> Any:
+        if not isinstance(row, dict) or row.get("box_m") is None:
+            if isinstance(row, dict) and not row.get("prim_path"):
+                raise ValueError("give `prim_path`, or `box_m` with two corners")
+            return row
+        path = f"{BOXES}/{row.get('id')}"
+        if row.get("prim_path") not in (None, path):
+            raise ValueError("give either `prim_path` or `box_m`")
+        return {**row, "prim_path": path}
+
+    @field_validator("box_m")
+    @classmethod
+    def _has_a_volume(cls, box: tuple[Corner, Corner] | None) -> tuple[Corner, Corner] | None:
+        if box is not None and not all(low < high for low, high in zip(*box, strict=True)):
+            raise ValueError("the first corner must be below the second one in x, y and z")
+        return box
 
     @field_validator("colour")
     @classmethod
@@ -66,7 +96,10 @@ class TargetList(Model):
     @property
     def digest(self) -> str:
         """SHA-256 of the rows, without comments, centroids and sizes, which have no effect."""
-        rows = (f"{e.prim_path}\n{e.id}\n{e.category}\n{e.colour}\n{e.enabled}" for e in self.targets)
+        rows = (
+            f"{e.prim_path}\n{e.id}\n{e.category}\n{e.colour}\n{e.enabled}" + (f"\n{e.box_m}" if e.box_m else "")
+            for e in self.targets
+        )
         return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()
 
 
@@ -84,13 +117,21 @@ def format_target_list(info: SceneInfo) -> str:
             "enabled": True,
             "centroid_m": list(target.centroid_m),
             "size_m": list(target.size_m),
-            "prim_path": target.prim_path,
+            **_place_of(target),
         }
         for target in info.targets
     ]
     verb = "build" if info.source.startswith("built-in ") else "import"
     body = yaml.safe_dump({"scene": info.name, "targets": rows}, sort_keys=False, default_flow_style=None, width=120)
     return _HEAD.format(scene=info.name, verb=verb) + body
+
+
+def _place_of(target: Target) -> dict[str, Any]:
+    """Returns the prim of a target or, if a box cut it out, a box slightly larger than the target."""
+    if not target.prim_path.startswith(f"{BOXES}/"):
+        return {"prim_path": target.prim_path}
+    sides = [(middle, size / 2 + 1e-3) for middle, size in zip(target.centroid_m, target.size_m, strict=True)]
+    return {"box_m": [[round(middle + sign * half, 4) for middle, half in sides] for sign in (-1, 1)]}
 
 
 def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:

@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from factory.runs.scene_packages import find_imported
-from factory.scenes.build import find_import, import_scene
+from factory.scenes.build import find_import, import_scene, name_of_file
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, builtin_rules
 from factory.scenes.targets.target_list import TargetEntry, TargetList
+from schemas.errors import UsageError
 from tests.builders.stage import StageText, room_body
 
 TEXT = StageText()
@@ -112,3 +113,35 @@ def test_searching_for_a_package_compiles_nothing(stage: Path) -> None:
     os.utime(package, (1, 1))
     assert find_import(stage, "lab", cache) == package
     assert package.stat().st_mtime == 1
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("my-room.obj", "my_room"),
+        ("My Room (2).glb", "my_room_2"),
+        ("2nd floor.usd", "scene_2nd_floor"),
+        ("B\u00fcro.dae", "buro"),
+        ("\u623f\u95f4.obj", "scene"),
+        ("office.glb", "my_office"),
+        ("home_00007.glb", "my_home_00007"),
+        (f"{'a' * 300}.obj", "a" * 64),
+    ],
+)
+def test_a_file_name_gives_a_valid_scene_name(stage: Path, file: str, name: str) -> None:
+    assert name_of_file(Path(file)) == name
+    if name in ("my_room", "my_home_00007"):
+        assert find_imported(import_scene(stage, name, stage.parent / "named").parent) == {
+            name: tuple((stage.parent / "named").glob("*.scene.zip"))
+        }
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("My-Room", "--name my_room"), ("office", "--name room"), ("office_00007", "--name room"), ("../x", "--name x")],
+)
+def test_a_name_that_is_refused_is_answered_with_one_that_works(stage: Path, name: str, remedy: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        import_scene(stage, name, stage.parent / "cache")
+    assert str(caught.value).endswith(remedy)
+    assert import_scene(stage, remedy.split()[1], stage.parent / "cache").is_file()

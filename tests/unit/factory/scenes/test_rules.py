@@ -37,6 +37,10 @@ RULES = builtin_rules()
         ("KitchenCabinet_01_001", "cabinet"),
         ("PalletJackB_01", "pallet_jack"),
         ("fridges", "refrigerator"),
+        ("Storage0", "cabinet"),
+        ("storage_unit_12", "cabinet"),
+        ("WasherDryer1", "washing_machine"),
+        ("table_top", "table"),
     ],
 )
 def test_names_of_public_assets_match_their_category(name: str, category: str) -> None:
@@ -63,6 +67,14 @@ def test_names_of_public_assets_match_their_category(name: str, category: str) -
         "CookingBench_01",
         "cupboardLeftBoard",
         "test_bench",
+        "StorageRoom",
+        "TableLeg_01",
+        "chair_cushion_2b",
+        "SofaPillow",
+        "TennisRacket",
+        "eggplant",
+        "kitchen_island_left_panel",
+        "suitable_place",
         "Wall",
     ],
 )
@@ -94,6 +106,12 @@ def test_indoor_objects_of_the_usual_datasets_have_a_category(name: str) -> None
 
 def test_a_name_can_match_rules_for_objects_of_different_shapes() -> None:
     assert [rule.category for rule in RULES.matches("BedsideTable")] == ["nightstand", "table"]
+
+
+def test_the_last_thing_of_a_name_decides() -> None:
+    names = {"sink_area_dish_washer_main": "dishwasher", "kitchen_island_stove": "oven", "desk_chair": "chair"}
+    assert {name: next(RULES.matches(name)).category for name in names} == names
+    assert [rule.category for rule in RULES.matches("sink_area_dish_washer")][-1] == "sink"
 
 
 def test_words_are_split_at_case_digits_and_punctuation() -> None:

@@ -265,3 +265,36 @@ def test_mjcf_resolves_defaults_includes_angles_and_proxies(tmp_path: Path) -> N
     (tmp_path / "tiles.png").unlink()
     with pytest.raises(WorldError, match=r"missing .*: tiles\.png \(of texture tiles\)"):
         extract_scene(tmp_path / "room.xml")
+
+
+@pytest.mark.parametrize("lines", ["d 1\nTr 1", "Tr 1\nd 1", "Tr 0", "d 1"])
+def test_an_opaque_material_of_mtl_is_opaque_although_tr_contradicts_d(tmp_path: Path, lines: str) -> None:
+    write(tmp_path / "a.mtl", f"newmtl print\nKd 1 0 0\n{lines}\n")
+    extraction = extract_scene(
+        write(tmp_path / "a.obj", f"mtllib a.mtl\n{TRIANGLE_OBJ}"), StageLimits(unit="m", up="z")
+    )
+    assert [part.surface.opacity for part in extraction.parts] == [1.0]
+
+
+@pytest.mark.parametrize("name", ["hitbox.001", "Hit_Box", "UCX_Chair", "collision_box-2"])
+def test_hit_boxes_of_games_are_for_collision_only(tmp_path: Path, name: str) -> None:
+    document = Gltf()
+    mesh = document.mesh(SQUARE, [0, 1, 2, 0, 2, 3])
+    document.node("Chair", mesh, children=[document.node(name, mesh, is_root=False)])
+    document.node("HitboxPoster", mesh)
+    extraction = extract_scene(write(tmp_path / "a.glb", document.glb()))
+    assert [part.is_collider for part in extraction.parts] == [False, True, False]
+
+
+def test_unknown_elements_of_urdf_are_noted_and_the_room_is_read(tmp_path: Path) -> None:
+    text = (
+        urdf_room().replace("<visual>", "<colour_hint/><visual><shade>1</shade>").replace("</link>", "<gazebo/></link>")
+    )
+    extraction, plain = (
+        extract_scene(write(tmp_path / name, content)) for name, content in (("a.urdf", text), ("b.urdf", urdf_room()))
+    )
+    assert [part.path for part in extraction.parts] == [part.path for part in plain.parts]
+    assert [note for note in extraction.notes if "URDF" in note] == [
+        "elements of links that URDF does not define are ignored: <colour_hint>, <shade>"
+    ]
+    assert not any("URDF" in note for note in plain.notes)

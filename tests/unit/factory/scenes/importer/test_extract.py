@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.importer import Extraction, Part
+from factory.scenes.importer.diagnostics import summarise
 from factory.scenes.importer.extract import extract_stage
 from schemas.errors import UsageError, WorldError
 from tests.builders.stage import StageText, room_body
@@ -243,3 +244,20 @@ def Xform "Room"
     assert capfd.readouterr() == ("", "")
     assert extraction.notes == ()
     assert extraction.parts[0].surface.colour[0] == pytest.approx(0.7)
+
+
+def test_warnings_of_openusd_of_one_kind_are_one_note_with_their_number() -> None:
+    lost = [f"Could not open asset @part_{number}.usda@ for prim </World/Part_{number}>" for number in range(98)]
+    kinds = [f"In <kind{'abcdefg'[number]}>: {word} is odd" for number, word in enumerate(["Mass", "Axis", "Mesh"])]
+    lines = summarise([*lost, *kinds])
+    assert lines[0] == f"{lost[0]} (97 similar warnings of OpenUSD)"
+    assert lines[1:] == kinds
+    many = [f"{word} is odd" for word in ("Apex", "Bolt", "Cone", "Disc", "Edge", "Face", "Grid")]
+    assert summarise(many) == [*many[:5], "2 other warnings of OpenUSD"]
+
+
+def test_a_stage_with_many_missing_references_has_one_note_on_them(tmp_path: Path) -> None:
+    lost = "".join(TEXT.group(f"Lost_{k}", "", head=f"references = @./lost_{k}.usda@") for k in range(40))
+    extraction = extract_stage(TEXT.write(tmp_path / "room.usda", room_body(TEXT, lost)))
+    (note,) = [note for note in extraction.notes if "lost_" in note]
+    assert note.endswith("(39 similar warnings of OpenUSD)")

@@ -13,7 +13,14 @@ from factory.scenes.formats import extract_scene
 from factory.scenes.importer import Extraction
 from factory.scenes.importer.extract import extract_stage
 from factory.scenes.rules import builtin_rules
-from factory.scenes.targets.candidates import Candidate, find_candidates, find_copies, footprint_width
+from factory.scenes.targets.candidates import (
+    Candidate,
+    find_candidates,
+    find_copies,
+    find_sections,
+    footprint_width,
+    joined,
+)
 from tests.builders.stage import StageText, Vector3
 
 TEXT = StageText()
@@ -162,3 +169,41 @@ def test_neighbours_and_candidates_of_other_categories_are_no_copies() -> None:
     assert find_copies([first, placed("/b", "sofa", 0.3)]) == {}
     assert find_copies([first, placed("/b", "bed", 0.0)]) == {}
     assert find_copies([first, placed("/b", "sofa", 0.0, (1.0, 0.9, 0.8))]) == {}
+
+
+def test_a_couch_of_three_links_is_one_sofa(tmp_path: Path) -> None:
+    def link(name: str, x: float) -> str:
+        shape = '<visual><origin xyz="0 0 0.4"/><geometry><box size="0.8 0.9 0.8"/></geometry></visual>'
+        joint = f'<joint name="j_{name}" type="fixed"><parent link="base"/><child link="{name}"/>'
+        return f'<link name="{name}">{shape}</link>{joint}<origin xyz="{x} 0 0"/></joint>'
+
+    links = "".join(link(f"couch_{name}", 0.8 * k) for k, name in enumerate(("left", "middle", "right")))
+    chairs = "".join(link(f"chair_{k}", 5 + 0.8 * k) for k in range(2))
+    path = tmp_path / "room.urdf"
+    path.write_text(f'<robot name="room"><link name="base"/>{links}{chairs}</robot>')
+    extraction = extract_scene(path)
+    book = load_textures({}, lambda path: None)
+    candidates = find_candidates(extraction, extraction.parts, builtin_rules(), lambda own: target_colour(own, book))
+    sections = find_sections(candidates)
+    assert sections == {"/World/couch_middle": "/World/couch_left", "/World/couch_right": "/World/couch_left"}
+    *seats, couch = joined(candidates, sections)
+    assert np.allclose(couch.box, [[-0.4, -0.45, 0.0], [2.0, 0.45, 0.8]])
+    assert [seat.category for seat in seats] == ["chair", "chair"]
+
+
+def test_only_touching_parts_with_names_of_parts_are_joined() -> None:
+    size = (0.8, 0.9, 0.8)
+    seat, back = (placed(f"/chair_{name}", "chair", 0.0, size) for name in ("seat", "back"))
+    assert find_sections([back, seat]) == {"/chair_seat": "/chair_back"}
+    assert find_sections([placed("/chair_left", "chair", 0.0, size), placed("/chair_right", "chair", 0.5, size)]) == {}
+    assert find_sections([placed("/sofa_left", "sofa", 0.0, size), placed("/sofa_right", "sofa", 0.83, size)]) == {}
+    assert find_sections([placed("/sofa_blue", "sofa", 0.0, size), placed("/sofa_red", "sofa", 0.5, size)]) == {}
+    assert find_sections([placed("/a/sofa_1", "sofa", 0.0, size), placed("/b/sofa_2", "sofa", 0.5, size)]) == {}
+
+
+def test_an_appliance_inside_one_of_its_category_is_its_part_and_a_table_in_the_corner_of_a_desk_is_not() -> None:
+    area = placed("/fridge_area", "refrigerator", 0.0, (0.7, 0.7, 1.6))
+    inner = placed("/iai_main", "refrigerator", 0.02, (0.66, 0.66, 1.0))
+    assert find_sections([area, inner]) == {"/iai_main": "/fridge_area"}
+    assert find_sections([placed("/desk_l", "table", 0.0), placed("/table", "table", 0.1, (0.5, 0.5, 0.5))]) == {}
+    assert find_sections([area, placed("/fridge_2", "refrigerator", 0.5, (0.7, 0.7, 1.6))]) == {}

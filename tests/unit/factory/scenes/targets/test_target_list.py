@@ -8,8 +8,9 @@ import pytest
 import yaml
 
 from factory.scenes.compile.compiler import compile_stage
+from factory.scenes.limits import StageLimits
 from factory.scenes.targets.target_list import TargetList, format_target_list, load_target_list
-from schemas.errors import UsageError
+from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene
 from tests.builders.stage import StageText, room_body
 
@@ -135,3 +136,76 @@ def test_a_written_list_is_read_back(tmp_path: Path, plain: CompiledScene) -> No
     rows = load_target_list(path).targets
     assert [row.id for row in rows] == [target.target_id for target in plain.info.targets]
     assert all(row.enabled for row in rows)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A room as one mesh without names: floor, a table and a chair of the same faces."""
+    lines, first = ["o scan"], 1
+    things = [((-4, -3, -0.1), (4, 3, 0)), ((1, 1, 0), (2.2, 1.8, 0.75)), ((-2, -1, 0), (-1.5, -0.5, 0.9))]
+    for (x0, y0, z0), (x1, y1, z1) in things:
+        lines += [f"v {x} {y} {z}" for z in (z0, z1) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
+        quads = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+        lines += ["f " + " ".join(str(first + corner) for corner in quad) for quad in quads]
+        first += 8
+    path = tmp_path_factory.mktemp("scan") / "scan.obj"
+    path.write_text("\n".join(lines))
+    return path
+
+
+BOX = "[[0.9, 0.9, 0.0], [2.3, 1.9, 0.8]]"
+SEAT = "[[-2.1, -1.1, 0.0], [-1.4, -0.4, 1.0]]"
+
+
+def boxed(folder: Path, *rows: str) -> TargetList:
+    path = folder / "targets_scan.yaml"
+    path.write_text("scene: scan\ntargets:\n" + "\n".join(f"- {{{row}}}" for row in rows))
+    return load_target_list(path)
+
+
+def compiled(scan: Path, chosen: TargetList | None) -> CompiledScene:
+    return compile_stage(scan, "scan", "scan.obj", None, chosen, StageLimits(unit="m", up="z"))
+
+
+def test_boxes_make_targets_of_a_scan_of_one_mesh(scan: Path, tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match=r"boxes of targets in a file with --targets \(.*; the scene extends"):
+        compiled(scan, None)
+    rows = (f"id: table_1, category: table, box_m: {BOX}", f"id: chair_1, category: chair, colour: red, box_m: {SEAT}")
+    scene = compiled(scan, boxed(tmp_path, *rows))
+    table, chair = scene.info.target("table_1"), scene.info.target("chair_1")
+    assert table.centroid_m == pytest.approx((1.6, 1.4, 0.375))
+    assert table.size_m == pytest.approx((1.2, 0.8, 0.75))
+    assert (chair.colour, chair.prim_path) == ("red", "/Boxes/chair_1")
+    assert [one.prim_path for one in scene.info.instances] == ["/Boxes/chair_1", "/Boxes/table_1", "/World/scan"]
+    path = tmp_path / "again.yaml"
+    path.write_text(format_target_list(scene.info))
+    assert compiled(scan, load_target_list(path)).info.targets == scene.info.targets
+
+
+def test_a_box_outside_the_scene_or_on_another_one_is_refused(scan: Path, tmp_path: Path) -> None:
+    outside = boxed(tmp_path, "id: table_1, category: table, box_m: [[50, 1, 0], [51, 2, 1]]")
+    with pytest.raises(UsageError, match=r"table_1: the box from \(50, 1, 0\).*extends from \(-4.00, -3.00, -0.10\)"):
+        compiled(scan, outside)
+    both = boxed(tmp_path, f"id: a_1, category: table, box_m: {BOX}", f"id: b_1, category: table, box_m: {BOX}")
+    with pytest.raises(UsageError, match="boxes of a_1 and b_1 contain the same faces"):
+        compiled(scan, both)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("box_m: [[0, 0, 0], [1, 1, 0]]", "below the second one"),
+        ("box_m: [[0, 0, 0], [1, .nan, 1]]", "box_m[1][1]"),
+        ("box_m: [[0, 0, 0], [1, 1, 1e9]]", "box_m[1][2]"),
+        ("box_m: [[0, 0], [1, 1]]", "box_m[0][2]"),
+        ("box_m: [[0, 0, 0], [1, 1, 1]], prim_path: /World/A", "either `prim_path` or `box_m`"),
+        ("colour: red", "give `prim_path`, or `box_m`"),
+    ],
+)
+def test_a_box_that_is_not_valid_is_refused_with_its_row(tmp_path: Path, row: str, words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        boxed(tmp_path, f"id: a_1, category: table, {row}")
+    assert "targets[0]" in str(caught.value)
+    assert words in str(caught.value)
+    with pytest.raises(UsageError, match="id is listed twice: a_1"):
+        boxed(tmp_path, *[f"id: a_1, category: table, box_m: {BOX}"] * 2)
