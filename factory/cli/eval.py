@@ -30,7 +30,6 @@ from factory.cli.options import (
 )
 from factory.eval.models.result import Variant
 from schemas.errors import UsageError
-from schemas.support.shell import quoted
 from schemas.terms import Split
 
 if TYPE_CHECKING:
@@ -90,6 +89,11 @@ def command() -> None:
     "the recorded camera."
 )
 @appearance_option("Default: the scenes as they were compiled.")
+@click.option(
+    "--restart",
+    is_flag=True,
+    help="Evaluate the policies again; their former results are kept in the folder `former` of -o.",
+)
 @count_option("--videos", 12, "Maximum number of videos of failed episodes for each policy.", least=0)
 @click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
 @renderer_option
@@ -111,6 +115,7 @@ def run(
     with_pose: bool,
     rig: str | None,
     appearance: str | None,
+    restart: bool,
     videos: int,
     all_tables: bool,
     renderer: RendererKind,
@@ -155,7 +160,9 @@ def run(
     def show(evaluation: Evaluation) -> None:
         print_result(evaluation, as_json, lambda result: print_evaluation(result, all_tables))
 
-    return _evaluate(campaign, access, out, videos=videos, show=show)
+    if restart and out is None:
+        raise UsageError("--restart requires -o DIR, the folder of the former results")
+    return _evaluate(campaign, access, out, restart=restart, videos=videos, show=show)
 
 
 command.set_default(run)
@@ -166,6 +173,7 @@ def _evaluate(
     access: FleetAccess | None,
     out: Path | None,
     *,
+    restart: bool,
     videos: int,
     show: Callable[[Evaluation], None],
 ) -> int:
@@ -175,15 +183,21 @@ def _evaluate(
         campaign: the campaign.
         access: network access to remote workers; `None` if this machine runs the episodes.
         out: output directory, or `None`.
+        restart: whether to move former results of the policies aside.
         videos: maximum number of videos for each policy.
         show: prints the evaluation.
     """
-    from factory.eval.order import open_store, published
+    from factory.eval.order import open_store, published, require_same_policies
     from factory.eval.results.publish import evaluation_of
 
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         store = stack.enter_context(open_store(campaign, folder))
+        for name in campaign.policies if restart else ():
+            if (former := store.set_aside(name)) is not None:
+                click.echo(f"former results of {name}: {former}", err=True)
+        if access is None:
+            require_same_policies(campaign, store)
         if not _drive(campaign, store, access):
             kept = "run the same command again to continue" if out else "the results were not stored: use -o DIR"
             click.echo(f"interrupted: {kept}", err=True)
@@ -192,7 +206,7 @@ def _evaluate(
         show(evaluation)
         if out:
             click.echo(f"results in {out}: results.json, episodes.parquet, index.html", err=True)
-            _print_repeat_command(evaluation, store)
+            _print_repeat_command(evaluation)
     return _exit_code_of(evaluation)
 
 
@@ -211,11 +225,12 @@ def _drive(campaign: Campaign, store: Store, access: FleetAccess | None) -> bool
         )
 
 
-def _print_repeat_command(evaluation: Evaluation, store: Store) -> None:
-    folders = [quoted(store.folder_of(policy.policy)) for policy in evaluation.policies if policy.faults]
-    if folders:
-        again = f"run `rm -r {' '.join(folders)}` and the same command again"
-        click.echo(f"note: results with policy faults are kept; to evaluate a corrected policy, {again}", err=True)
+def _print_repeat_command(evaluation: Evaluation) -> None:
+    if any(policy.faults for policy in evaluation.policies):
+        click.echo(
+            "note: results with policy faults are kept; to evaluate a corrected policy, add --restart to the command",
+            err=True,
+        )
 
 
 def _exit_code_of(evaluation: Evaluation) -> int:

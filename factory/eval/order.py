@@ -15,7 +15,9 @@ from factory.eval.driving.live_view import live_appearance, require_live
 from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet, read_specs
-from factory.eval.policies.registry import check_name, require_available
+from factory.eval.policies.made_from import GREETING, another_policy, hashes_now
+from factory.eval.policies.registry import check_name, file_of, is_user_class, require_available
+from factory.eval.policies.user_class import source_folder
 from factory.eval.process.local_campaign import Pace
 from factory.eval.results.publish import publish
 from factory.eval.results.score import Evaluation
@@ -130,6 +132,23 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
         view=campaign.setup.view,
     )
     return Store(folder, campaign.specs, manifest)
+
+
+def require_same_policies(campaign: Campaign, store: Store) -> None:
+    """Compares the files of the policies with those of the stored results, before any policy is created.
+
+    Raises:
+        UsageError: a policy has changed; the message contains the hashes and the remedy.
+    """
+    for name in campaign.policies:
+        note = store.note_of(name)
+        if note is None or not store.results(name):
+            continue
+        file = file_of(name)
+        folder = source_folder(name) if is_user_class(name) else None if file is None else file.parent
+        known = {entry: value for entry, value in note.made_from.items() if entry != GREETING}
+        if error := another_policy(name, known, hashes_now(known, folder), store.root):
+            raise error
 
 
 @contextmanager

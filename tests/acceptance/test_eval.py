@@ -102,9 +102,9 @@ def test_the_error_of_a_failing_policy_is_quoted_and_the_policy_can_be_run_again
     assert "KeyError: 'depth_front' (policies.py:" in first.stdout
     assert "had a fault in every episode, so it was not evaluated" in first.stderr
     (log,) = tmp_path.rglob("episodes.jsonl")
-    assert f"rm -r {log.parent}" in first.stderr
-    log.unlink()
-    (policy,) = command.json(*words, "-o", tmp_path / "out", expect=1)["policies"]
+    assert "to evaluate a corrected policy, add --restart" in first.stderr
+    (policy,) = command.json(*words, "-o", tmp_path / "out", "--restart", expect=1)["policies"]
+    assert (tmp_path / "out/former" / f"{log.parent.name}-1" / log.name).exists()
     assert [(fault["end"], fault["drives"]) for fault in policy["faults"]] == [("policy_raised", 2)]
     assert log.read_bytes().count(b"\n") == 2
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -219,3 +220,30 @@ def test_specs_that_do_not_fit_their_scene_are_refused(drives: Dataset, specs: S
     other = specs.specs[0].model_copy(update={"target_id": "chair_404"})
     with pytest.raises(WorldError, match="no target chair_404"):
         drive(tmp_path, campaign_of(drives, specs.model_copy(update={"specs": (other,)}), "stop"))
+
+
+def test_a_policy_that_is_edited_after_an_interruption_is_refused(
+    drives: Dataset, specs: SpecSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "code").mkdir()
+    monkeypatch.chdir(tmp_path / "code")
+    code = "class Mine:\n    def reset(self, *_): ...\n    def act(self, _): return {v}, 0.0\n"
+    file = tmp_path / "code/edited_policy.py"
+    file.write_text(code.format(v=0.1))
+    whole = campaign_of(drives, short(specs, 5), "edited_policy:Mine")
+    part = replace(whole, processes=1)
+    stop = threading.Event()
+    with open_store(tmp_path / "out", part) as store:
+        assert not run_campaign(part, store, stop, lambda pace: stop.set() if pace.done else None)
+        before = store.results("edited_policy:Mine")
+        assert 0 < len(before) < len(specs.specs)
+    file.write_text(code.format(v=0.2))
+    with open_store(tmp_path / "out", whole) as store:
+        with pytest.raises(
+            UsageError, match=r"not the one whose results are in .*edited_policy.py: [0-9a-f]{12}, now [0-9a-f]{12}"
+        ):
+            run_campaign(whole, store, threading.Event(), lambda _pace: None)
+        assert store.results("edited_policy:Mine") == before
+        store.set_aside("edited_policy:Mine")
+        assert run_campaign(whole, store, threading.Event(), lambda _pace: None)
+        assert len(store.results("edited_policy:Mine")) == len(specs.specs)

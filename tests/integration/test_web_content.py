@@ -99,7 +99,7 @@ def test_a_page_compares_two_policies_with_the_numbers_of_the_command(client):
     page = client.ask("/evaluations/results?first=stop&second=my+policy+%3Cb%3E").text
     assert f"both {wanted.both}, only stop {wanted.only_first}, " in page
     assert f"McNemar p = {wanted.p:.3g}" in page
-    assert f"{wanted.success_difference.mean:.3f}" in page
+    assert f"{100 * wanted.success_difference.mean:+.1f}" in page
     assert "no policy &#39;other&#39;" in client.ask("/evaluations/results?first=other&second=stop").text
     assert client.ask("/evaluations/results?first=stop&second=stop&variant=odd").status == 400
     assert "no evaluation is named &#39;result&#39;; did you mean" in client.ask("/evaluations/result").text

@@ -103,6 +103,8 @@ class EvalReport(Model):
     exit_code: int = 1
     """Exit code of the command, for `refused`."""
     result: EpisodeResult | None = None
+    made_from: dict[str, str] = Field(default={}, max_length=1001)
+    """Hashes of the policy, in a report of kind `policy`."""
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:

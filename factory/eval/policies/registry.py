@@ -37,12 +37,15 @@ class PolicyNote(Model):
     reads_instruction: bool
     renderer: str
     software: dict[str, str]
+    made_from: dict[str, str] = Field(default={}, max_length=1001, exclude_if=lambda it: not it)
+    """SHA-256 of each file of the policy, or of its server's greeting; omitted for built-in policies without a file,
+    and in results of older versions."""
     order_dependence: str | None = Field(default=None, exclude_if=lambda it: it is None)
     """How an episode that was repeated alone in a new process differs from its result; null and omitted if it does not
     differ, or if none was repeated."""
 
 
-def note_of(policy: str, knows: str, renderer: str) -> PolicyNote:
+def note_of(policy: str, knows: str, renderer: str, made_from: dict[str, str]) -> PolicyNote:
     """Returns the metadata of a policy that was created on this machine."""
     return PolicyNote(
         policy=policy,
@@ -50,6 +53,7 @@ def note_of(policy: str, knows: str, renderer: str) -> PolicyNote:
         reads_instruction=find_policy(policy).reads_instruction,
         renderer=renderer,
         software=software_versions(),
+        made_from=made_from,
     )
 
 

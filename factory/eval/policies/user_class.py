@@ -71,6 +71,17 @@ def require_module(name: str) -> None:
     raise UsageError(_describe_missing(name, top))
 
 
+def source_folder(name: str) -> Path | None:
+    """Returns the folder that contains the package or module of `package.module:Class`; imports nothing."""
+    top = name.partition(":")[0].partition(".")[0]
+    spec = PathFinder.find_spec(top, [str(Path.cwd())]) or importlib.util.find_spec(top)
+    if spec is None:
+        return None
+    if spec.submodule_search_locations:
+        return Path(next(iter(spec.submodule_search_locations))).resolve().parent
+    return None if spec.origin is None else Path(spec.origin).resolve().parent
+
+
 def _class_of(module: ModuleType, class_name: str, name: str) -> object:
     attribute: object = module
     for part in class_name.split("."):

@@ -29,7 +29,8 @@ from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalSetup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies.registry import describe_knowledge, make_policy, require_inputs
+from factory.eval.policies.made_from import hashes_of
+from factory.eval.policies.registry import describe_knowledge, file_of, make_policy, require_inputs
 from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
@@ -138,8 +139,8 @@ class _Driver:
             self._policy = policy
             self._status.is_warm = False
             self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
-            knows = describe_knowledge(self._policy)
-            self._tell(EvalReport(kind=EvalReportKind.POLICY, number=order.task.number, detail=knows))
+            knows, hashes = describe_knowledge(policy), hashes_of(name, policy, order.policy_file or file_of(name))
+            self._tell(EvalReport(kind=EvalReportKind.POLICY, number=order.task.number, detail=knows, made_from=hashes))
         return self._policy
 
 

@@ -61,6 +61,8 @@ class DriverProcess:
         """Task in progress; `None` without one."""
         self.made: dict[str, str] = {}
         """Policy name -> description of the information it uses, for policies created in this process."""
+        self.made_from: dict[str, dict[str, str]] = {}
+        """Policy name -> hashes of what the policy consists of, for policies created in this process."""
         self.renderer = ""
         """Description of the renderer; empty until the process reports it."""
 
@@ -83,7 +85,7 @@ class DriverProcess:
         task = order.task
         if task.setup != self._setup:
             self.kill()
-            self._setup, self.made = task.setup, {}
+            self._setup, self.made, self.made_from = task.setup, {}, {}
         if renders_apart(task.policy) and not self._renders_apart:
             self.kill()
             self._renders_apart = True
@@ -122,6 +124,7 @@ class DriverProcess:
             self.renderer = report.detail
         elif report.kind is EvalReportKind.POLICY and self.current is not None:
             self.made[self.current.policy] = report.detail
+            self.made_from[self.current.policy] = report.made_from
         else:
             return True
         return False

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
+from factory.eval.policies.made_from import another_policy
 from factory.eval.policies.registry import note_of, renders_apart
 from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
 from factory.eval.results.store import Store
@@ -101,6 +102,7 @@ class _PolicyCampaign:
         self._drivers, self._stop, self._tell = drivers, stop, tell
         self._deaths: dict[int, int] = {}
         self._driven: Counter[DriverProcess] = Counter()
+        self._checked: set[DriverProcess] = set()
         self._repeatable: tuple[EvalTask, EpisodeResult] | None = None
         """Last episode that was not the first one of its process, with its result."""
 
@@ -133,6 +135,7 @@ class _PolicyCampaign:
             if driver.current is None:
                 continue
             report = driver.poll(_POLL_S / max(1, busy))
+            self._require_same(driver)
             if isinstance(report, DriverEnded):
                 result = self._after_end(driver, report, waiting)
             else:
@@ -196,6 +199,19 @@ class _PolicyCampaign:
         waiting.appendleft(task)
         return None
 
+    def _require_same(self, driver: DriverProcess) -> None:
+        """Raises an error if a process has created another policy than that of the stored results.
+
+        Raises:
+            UsageError: it has; the message contains both hashes.
+        """
+        note, hashes = self._store.note_of(self._policy), driver.made_from.get(self._policy)
+        if driver in self._checked or note is None or hashes is None:
+            return
+        self._checked.add(driver)
+        if error := another_policy(self._policy, note.made_from, hashes, self._store.root):
+            raise error
+
     def _made(self) -> DriverProcess | None:
         """Returns a driver process in which the policy has been created, or `None`."""
         return next((driver for driver in self._drivers if self._policy in driver.made), None)
@@ -203,5 +219,6 @@ class _PolicyCampaign:
     def _keep(self, result: EpisodeResult) -> None:
         driver = self._made()
         if driver is not None and self._store.note_of(self._policy) is None:
-            self._store.note(note_of(self._policy, driver.made[self._policy], driver.renderer))
+            hashes = driver.made_from.get(self._policy, {})
+            self._store.note(note_of(self._policy, driver.made[self._policy], driver.renderer, hashes))
         self._store.add(result)

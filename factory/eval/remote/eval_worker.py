@@ -78,7 +78,8 @@ class _EvalWorker:
         if isinstance(result, worker.SimulationReport):
             self.tell(result)
         else:
-            note = note_of(task.policy, driver.made[task.policy], driver.renderer)
+            hashes = driver.made_from.get(task.policy, {})
+            note = note_of(task.policy, driver.made[task.policy], driver.renderer, hashes)
             self.tell(_seal(ResultBundle(result=result, note=note), order.bundle_path, time.monotonic() - started))
 
     def _wait(self) -> Outcome | DriverEnded:

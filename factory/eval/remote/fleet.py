@@ -29,6 +29,7 @@ from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.eval.models.messages import EvalTask
+from factory.eval.policies.made_from import another_policy
 from factory.eval.process.local_campaign import Pace
 from factory.eval.remote.results import ResultValidator, read_result_bundle
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
@@ -211,8 +212,11 @@ class ResultCollector:
             with (root / file_name_of(episode_id(index))).open("rb") as file:
                 driven = read_result_bundle(file)
             policy = driven.result.policy
-            if self._store.note_of(policy) is None:
+            stored = self._store.note_of(policy)
+            if stored is None:
                 self._store.note(driven.note)
+            elif error := another_policy(policy, stored.made_from, driven.note.made_from, self._store.root):
+                raise error
             self._store.add(driven.result)
             self._done[index] = driven.result.success
             self._tell(self._pace(policy))

@@ -8,8 +8,8 @@ from typing import Annotated
 from pydantic import Field
 
 from factory.eval.models.result import EpisodeResult, Variant
-from factory.eval.results.estimate import IntervalEstimate, mcnemar_p, means_of
-from factory.eval.results.score import MEANS
+from factory.eval.results.estimate import IntervalEstimate, difference_of_shares, mcnemar_p, means_of
+from factory.eval.results.score import DIFFERENCE_BOUNDS, MEANS
 from factory.stats.measures import share_of
 from factory.stats.statistics import Share
 from schemas.base import Fraction, Model
@@ -38,7 +38,7 @@ class PairedComparison(Model):
     """Two-sided p value of the exact McNemar test."""
     success_difference: IntervalEstimate
     differences: dict[str, IntervalEstimate]
-    """Means of the paired differences with BCa intervals, by metric."""
+    """Means of the paired differences with their intervals, by metric."""
 
 
 def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], variant: Variant) -> PairedComparison:
@@ -58,10 +58,8 @@ def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], var
     wins = [(one.success, other.success) for one, other in pairs]
     only_first, only_second = wins.count((True, False)), wins.count((False, True))
     differences = means_of(
-        {
-            "success": [float(b) - float(a) for a, b in wins],
-            **{name: [_minus(getattr(b, field), getattr(a, field)) for a, b in pairs] for name, field in MEANS.items()},
-        }
+        {name: [_minus(getattr(b, field), getattr(a, field)) for a, b in pairs] for name, field in MEANS.items()},
+        DIFFERENCE_BOUNDS,
     )
     return PairedComparison(
         first=pairs[0][0].policy,
@@ -76,7 +74,7 @@ def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], var
         only_second=only_second,
         neither=wins.count((False, False)),
         p=mcnemar_p(only_first, only_second),
-        success_difference=differences.pop("success"),
+        success_difference=difference_of_shares(only_first, only_second, len(pairs)),
         differences=differences,
     )
 

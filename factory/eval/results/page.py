@@ -9,7 +9,14 @@ from factory.eval.models.result import EpisodeResult
 from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
-from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
+from factory.eval.results.summary_text import (
+    ABLATION_HEAD,
+    INTERVALS,
+    ablation_rows,
+    describe_ends,
+    fault_lines,
+    policies_without_instruction,
+)
 from factory.html import data_uri, render
 from factory.html.measures import TITLES
 from factory.stats.statistics import Share
@@ -31,7 +38,6 @@ _HEAD = (
     "policy failure, %",
 )
 _MAIN_HEAD = ("SR, %", "SPL", "NE, m", "collision, %", "n")
-_ABLATION_HEAD = ("instruction", "episodes", "n", "SR, %", "difference to the original", "McNemar p")
 _DASH = "–"
 
 
@@ -89,6 +95,7 @@ def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureEx
             ("method", "Method"),
         ],
         evaluation=evaluation,
+        intervals=INTERVALS,
         main={
             "head": _MAIN_HEAD,
             "rows": [(policy.policy, policy.knows, _main_cells(policy.overall)) for policy in policies],
@@ -136,14 +143,17 @@ def comparison_table(comparison: PairedComparison) -> MeasureTable:
         (f"SR of {comparison.first}, %", comparison.first_success),
         (f"SR of {comparison.second}, %", comparison.second_success),
     ]
-    means = [("success", comparison.success_difference), *comparison.differences.items()]
+    means = [
+        [MeasureCell("SR, points"), _points(comparison.success_difference)],
+        *([MeasureCell(TITLES[name]), _estimate(value, 3)] for name, value in comparison.differences.items()),
+    ]
     return MeasureTable(
         "comparison",
         f"{comparison.second} minus {comparison.first}",
         ("kind", "measure", "value"),
         [
             ("rate", [[MeasureCell(name), _share(rate)] for name, rate in rates]),
-            ("mean difference", [[MeasureCell(TITLES[name]), _estimate(value, 3)] for name, value in means]),
+            ("mean difference", means),
         ],
     )
 
@@ -163,7 +173,7 @@ def tables_of(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
 
 def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
     groups: dict[str, list[Sequence[MeasureCell]]] = {}
-    for policy, *cells in ablation_rows(policies, _share, _estimate):
+    for policy, *cells in ablation_rows(policies, _share, _points):
         groups.setdefault(str(policy), []).append(
             [cell if isinstance(cell, MeasureCell) else MeasureCell(str(cell)) for cell in cells]
         )
@@ -171,7 +181,7 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
         names = ", ".join(policies_without_instruction(policies))
         note = f"Difference 0 by construction for policies that do not use the instruction: {names}." if names else ""
         yield MeasureTable(
-            "words", "Instruction ablation", head=("policy", *_ABLATION_HEAD), groups=list(groups.items()), note=note
+            "words", "Instruction ablation", head=("policy", *ABLATION_HEAD), groups=list(groups.items()), note=note
         )
 
 
@@ -213,6 +223,13 @@ def _share(share: Share) -> MeasureCell:
         return MeasureCell(_DASH)
     low, value, high = 100 * share.low, 100 * share.share, 100 * share.high
     return MeasureCell(f"{value:.1f}", f"{low:.0f} to {high:.0f}", (low, value, high))
+
+
+def _points(value: IntervalEstimate) -> MeasureCell:
+    """Returns a difference of shares in percentage points."""
+    if value.mean is None or value.low is None or value.high is None:
+        return MeasureCell(_DASH)
+    return MeasureCell(f"{100 * value.mean:+.1f}", f"{100 * value.low:+.0f} to {100 * value.high:+.0f}")
 
 
 def _estimate(value: IntervalEstimate, digits: int = 2) -> MeasureCell:

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.results.estimate import FEW
 from factory.eval.results.page import FailureExample, write_page
 from factory.eval.results.score import Evaluation, score_policy
 from factory.eval.results.store import Store
@@ -121,6 +122,8 @@ def _remarks(campaign: Campaign) -> list[str]:
     moved = sum(spec.spawn_source == "frame" for spec in specs)
     ways = sum(spec.geodesic_m is None for spec in specs)
     remarks = []
+    if len(specs) < FEW:
+        remarks.append(f"{len(specs)} episodes are few, so the intervals are wide; evaluate at least {FEW}")
     if campaign.setup.view != ViewSettings():
         remarks.append(f"view of the policies: {campaign.setup.view.describe()}")
     if moved:

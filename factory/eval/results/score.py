@@ -5,6 +5,7 @@ Pure functions.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -14,7 +15,7 @@ from pydantic import Field
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
 from factory.eval.policies.registry import PolicyNote
-from factory.eval.results.estimate import NO_VALUES, IntervalEstimate, mcnemar_p, means_of
+from factory.eval.results.estimate import NO_VALUES, Bounds, IntervalEstimate, difference_of_shares, mcnemar_p, means_of
 from factory.stats.measures import share_of
 from factory.stats.statistics import Share
 from schemas.base import Fraction, Model, Name, Sha256
@@ -86,6 +87,17 @@ MEANS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Field of `Score` -> field of `EpisodeResult` whose mean it contains."""
+BOUNDS: Mapping[str, Bounds] = MappingProxyType(
+    {
+        **dict.fromkeys(("spl", "soft_spl", "progress_max", "progress_normalised"), (0.0, 1.0)),
+        **dict.fromkeys(("ne_m", "ne_centroid_m", "ne_surface_m", "trajectory_length_m", "num_steps"), (0.0, math.inf)),
+    }
+)
+"""Smallest and largest value of the measures that have bounds."""
+DIFFERENCE_BOUNDS: Mapping[str, Bounds] = MappingProxyType(
+    {name: (low - high, high - low) for name, (low, high) in BOUNDS.items() if math.isfinite(high)}
+)
+"""Smallest and largest value of paired differences of these measures."""
 ALL = "all"
 GROUNDED = "two or more categories in view"
 
@@ -120,6 +132,8 @@ class Score(Model):
     progress_max: IntervalEstimate
     progress_normalised: IntervalEstimate
     num_steps: IntervalEstimate
+    clipped: Fraction | None = None
+    """Share of the actions that were outside the range of the robot and were clipped; `None` without actions."""
 
 
 class Ablation(Model):
@@ -133,9 +147,17 @@ class Ablation(Model):
     success: Share
     """SR with this variant."""
     gap: IntervalEstimate
-    """SR with the original instruction minus SR with this variant."""
+    """SR with the original instruction minus SR with this variant, a fraction."""
     p: Fraction
     """p value of the exact McNemar test."""
+
+    @property
+    def difference(self) -> IntervalEstimate:
+        """SR with this variant minus SR with the original instruction, as tables show it."""
+        gap = self.gap
+        if gap.mean is None or gap.low is None or gap.high is None:
+            return gap
+        return IntervalEstimate(n=gap.n, mean=-gap.mean, low=-gap.high, high=-gap.low)
 
 
 class PolicyScores(Model):
@@ -149,6 +171,8 @@ class PolicyScores(Model):
     overall: Score
     groups: tuple[Score, ...]
     ends: dict[EvalEnd, int]
+    made_from: dict[str, str] = Field(default={}, max_length=1001, exclude_if=lambda it: not it)
+    """SHA-256 of each file of the policy, or of its server's greeting."""
     faults: tuple[FaultCount, ...] = ()
     """Policy failures under all instruction variants."""
     ablation: tuple[Ablation, ...]
@@ -218,6 +242,7 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
         overall=score(ALL, ALL, original),
         groups=tuple(_grouped(original)),
         ends=dict(sorted(Counter(row.end for row in original).items())),
+        made_from=note.made_from,
         faults=faults_of(results),
         ablation=tuple(_ablations(results)),
         act_ms=sum(row.act_ms for row in original) / len(original) if original else None,
@@ -235,7 +260,8 @@ def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[st
 
 
 def score(by: str, group: str, rows: Sequence[EpisodeResult]) -> Score:
-    means = means_of({name: [getattr(row, field) for row in rows] for name, field in MEANS.items()})
+    means = means_of({name: [getattr(row, field) for row in rows] for name, field in MEANS.items()}, BOUNDS)
+    steps = sum(row.num_steps for row in rows)
     return Score(
         by=by,
         group=group,
@@ -246,6 +272,7 @@ def score(by: str, group: str, rows: Sequence[EpisodeResult]) -> Score:
         timeout=_share(rows, lambda row: row.end is EvalEnd.TIMEOUT),
         policy_failure=_share(rows, lambda row: row.end.is_of_the_policy),
         contact=_share(rows, lambda row: row.contact_steps > 0),
+        clipped=min(1.0, sum(row.clipped_actions for row in rows) / steps) if steps else None,
         **means,
     )
 
@@ -279,12 +306,13 @@ def _ablations(results: Sequence[EpisodeResult]) -> Iterator[Ablation]:
 
 
 def _ablation(variant: Variant, by: str, pairs: Sequence[tuple[EpisodeResult, EpisodeResult]]) -> Ablation:
-    gaps = [float(true.success) - float(other.success) for true, other in pairs]
+    only_true = sum(true.success and not other.success for true, other in pairs)
+    only_other = sum(other.success and not true.success for true, other in pairs)
     return Ablation(
         variant=variant,
         by=by,
         n=len(pairs),
         success=share_of(sum(other.success for _, other in pairs), len(pairs)),
-        gap=means_of({"gap": gaps})["gap"],
-        p=mcnemar_p(sum(gap > 0 for gap in gaps), sum(gap < 0 for gap in gaps)),
+        gap=difference_of_shares(only_other, only_true, len(pairs)),
+        p=mcnemar_p(only_true, only_other),
     )

@@ -6,6 +6,7 @@ Each finished episode is appended and synced, so an interrupted evaluation can b
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import re
 from collections.abc import Iterator
@@ -23,6 +24,8 @@ from schemas.storage.disk import replacing, translated
 from schemas.support.closing import Closing
 from schemas.view import ViewSettings
 
+_FORMER = "former"
+"""Folder of the results of former versions of policies."""
 _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "policies", "episodes.jsonl", "policy.json"
 
 
@@ -88,6 +91,18 @@ class Store(Closing):
         """Returns the metadata of a policy, or `None`."""
         path = self.folder_of(policy) / _NOTE
         return PolicyNote.model_validate_json(path.read_bytes()) if path.exists() else None
+
+    def set_aside(self, policy: str) -> Path | None:
+        """Moves the results of a policy to the folder `former`; returns their place, or `None` without results."""
+        folder = self.folder_of(policy)
+        if not folder.exists():
+            return None
+        former = self.root / _FORMER
+        with translated("write", former):
+            former.mkdir(exist_ok=True)
+            number = next(n for n in itertools.count(1) if not (former / f"{folder.name}-{n}").exists())
+            folder.rename(former / f"{folder.name}-{number}")
+        return former / f"{folder.name}-{number}"
 
     def _log(self, policy: str) -> IO[bytes]:
         if policy not in self._logs:

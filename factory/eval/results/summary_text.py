@@ -4,27 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+from factory.eval.policies.made_from import describe
 from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import PolicyScores
 from factory.stats.statistics import Share
+
+_MOST_CLIPPED = 0.05
+INTERVALS = (
+    "95 % intervals: shares by Wilson, measures from 0 to 1 by Wilson with an effective number of episodes, other "
+    "means by Student's t, paired differences of SR by Tango"
+)
+ABLATION_HEAD = ("instruction", "episodes", "n", "SR, %", "SR minus SR of the original, points", "McNemar p")
+"""Head of the columns of `ablation_rows` after the policy."""
 
 
 def ablation_rows(
     policies: Sequence[PolicyScores],
     share: Callable[[Share], object],
-    estimate: Callable[[IntervalEstimate, int], object],
+    points: Callable[[IntervalEstimate], object],
 ) -> Iterator[tuple[object, ...]]:
-    """Yields a row for each ablation: policy, variant, episodes, n, success, gap to the original instruction, p value.
+    """Yields a row for each ablation: policy, variant, episodes, n, success, difference to the original, p value.
 
     Args:
         policies: Scores of the policies.
         share: Formats a share.
-        estimate: Formats a mean with a number of digits.
+        points: Formats a difference of shares in percentage points.
     """
     for policy in policies:
         for row in policy.ablation:
             which = "all" if row.by == "all" else "2+ categories in view"
-            spelt = share(row.success), estimate(row.gap, 3), f"{row.p:.3g}"
+            spelt = share(row.success), points(row.difference), f"{row.p:.3g}"
             yield policy.policy, row.variant, which, row.n, *spelt
 
 
@@ -34,15 +43,28 @@ def policies_without_instruction(policies: Sequence[PolicyScores]) -> list[str]:
 
 
 def describe_ends(policy: PolicyScores) -> str:
-    """Returns a description of the episode ends of a policy, and its mean inference time."""
-    ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
-    return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms per action"
+    """Returns the ends of the episodes of a policy, its clipped actions, its hashes and its mean inference time."""
+    parts = [", ".join(f"{count} {end}" for end, count in policy.ends.items())]
+    if policy.overall.clipped is not None:
+        parts.append(f"{100 * policy.overall.clipped:.1f} % of the actions clipped")
+    if policy.made_from:
+        parts.append(describe(policy.made_from))
+    if policy.act_ms is not None:
+        parts.append(f"{policy.act_ms:.1f} ms per action")
+    return "; ".join(parts)
 
 
 def fault_lines(policy: PolicyScores) -> list[str]:
-    """Returns a line for each kind of policy failure, with its first message."""
-    return [
+    """Returns a line for each kind of policy failure, with its first message, and the warnings of a policy."""
+    lines = [
         f"{policy.policy}: {fault.drives} of {fault.of} episodes ended with {fault.end}, first {fault.first}: "
         f"{fault.detail}"
         for fault in policy.faults
     ]
+    clipped = policy.overall.clipped
+    if clipped is not None and clipped > _MOST_CLIPPED:
+        lines.append(
+            f"{policy.policy}: {100 * clipped:.0f} % of the actions were outside the range of the robot and were "
+            "clipped; an action is v in m/s and w in rad/s: cm/s would be 100 times and degrees/s 57 times too large"
+        )
+    return lines

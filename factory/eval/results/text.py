@@ -9,7 +9,14 @@ import click
 from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
-from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
+from factory.eval.results.summary_text import (
+    ABLATION_HEAD,
+    INTERVALS,
+    ablation_rows,
+    describe_ends,
+    fault_lines,
+    policies_without_instruction,
+)
 from factory.html.measures import TITLES, definitions_of
 from factory.stats.statistics import Share
 from factory.support.terminal import print_table, print_text
@@ -49,7 +56,7 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
             print_text(line)
     for remark in evaluation.remarks:
         print_text(f"note: {remark}")
-    print_text("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals")
+    print_text(INTERVALS)
     for name, definition in definitions_of(_HEAD).items():
         print_text(f"{name}: {definition}")
 
@@ -62,7 +69,7 @@ def print_comparison(comparison: PairedComparison) -> None:
     print_table("", ("policy", "SR, %"), rows, widest=_WIDTH)
     counts = f"both {comparison.both}, only {one} {comparison.only_first}, only {other} {comparison.only_second}"
     print_text(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
-    body = [(TITLES["success"], _estimate(comparison.success_difference, 3))]
+    body = [("SR, points", _points(comparison.success_difference))]
     body += [(TITLES[name], _estimate(value, 3)) for name, value in comparison.differences.items()]
     print_table(f"\n{other} minus {one}", ("measure", "mean, 95 % interval"), body, widest=_WIDTH)
     if comparison.left_out:
@@ -76,10 +83,9 @@ def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None
 
 
 def _print_ablations(policies: Sequence[PolicyScores]) -> None:
-    rows = list(ablation_rows(policies, _share, _estimate))
+    rows = list(ablation_rows(policies, _share, _points))
     if rows:
-        head = ("policy", "instruction", "episodes", "n", "SR, %", "SR difference to the original", "McNemar p")
-        print_table("\nInstruction ablation", head, rows, widest=_WIDTH)
+        print_table("\nInstruction ablation", ("policy", *ABLATION_HEAD), rows, widest=_WIDTH)
         for name in policies_without_instruction(policies):
             print_text(f"{name}: does not use the instruction, difference 0 by construction")
 
@@ -104,6 +110,13 @@ def _share(share: Share) -> str:
 
 def _plain(share: Share) -> str:
     return "-" if share.share is None else f"{100 * share.share:.1f}"
+
+
+def _points(value: IntervalEstimate) -> str:
+    """Returns a difference of shares in percentage points."""
+    if value.mean is None or value.low is None or value.high is None:
+        return "-"
+    return f"{100 * value.mean:+.1f} [{100 * value.low:+.0f}, {100 * value.high:+.0f}]"
 
 
 def _estimate(value: IntervalEstimate, digits: int = 2) -> str:

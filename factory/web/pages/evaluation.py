@@ -12,6 +12,7 @@ from starlette.routing import Route
 from factory.eval.models.result import Variant
 from factory.eval.results.compare import PairedComparison, compare
 from factory.eval.results.page import MeasureTable, comparison_table, main_table, tables_of
+from factory.eval.results.summary_text import INTERVALS
 from factory.web.context import context_of, page
 from factory.web.evaluations import EvaluationReading
 from schemas.errors import FactoryError, UsageError
@@ -57,6 +58,7 @@ def show(request: Request) -> Response:
         name,
         name=name,
         reading=reading,
+        intervals=INTERVALS,
         main=main_table(reading.evaluation.policies) if reading.evaluation else None,
         tables=list(tables_of(reading.evaluation.policies)) if reading.evaluation else [],
         compared=compared,

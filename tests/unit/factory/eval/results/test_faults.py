@@ -6,7 +6,7 @@ from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.page import write_page
 from factory.eval.results.score import faults_of, score_policy
-from factory.eval.results.summary_text import fault_lines
+from factory.eval.results.summary_text import describe_ends, fault_lines
 from tests.builders.eval_results import evaluation_of, result_of
 
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="", software={})
@@ -48,3 +48,12 @@ def test_the_page_escapes_the_markup_in_a_failure() -> None:
     scores = score_policy("m:P", [raised], NOTE)
     page = write_page(evaluation.model_copy(update={"policies": (scores,)}), {})
     assert "ValueError: &lt;b&gt;" in page
+
+
+def test_clipped_actions_are_reported_with_the_likely_unit() -> None:
+    rows = [result_of(number, num_steps=100, clipped_actions=90) for number in (1, 2)]
+    policy = score_policy("p", rows, NOTE)
+    assert policy.overall.clipped == 0.9
+    assert "90.0 % of the actions clipped" in describe_ends(policy)
+    assert any("90 % of the actions were outside the range of the robot" in line for line in fault_lines(policy))
+    assert not fault_lines(score_policy("p", [result_of(1, num_steps=100, clipped_actions=4)], NOTE))
