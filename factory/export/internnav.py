@@ -99,22 +99,22 @@ by 30 degrees needs other data.
 """
 
 
-class SceneFacts(EpisodeFacts):
+class ExportedFacts(EpisodeFacts):
     """Facts of a piece for the tables of its scene."""
 
     scene: str
     scene_sha256: str
 
 
-class NavDpExporter(Exporter[NavDpOptions, SceneFacts]):
+class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
     """Exporter of format `navdp`: one folder per scene with camera poses, images and the obstacles as points."""
 
     name = "navdp"
     about = "camera poses, JPEG, 16-bit depth and obstacle points, for NavDP"
     options = NavDpOptions
-    facts = SceneFacts
+    facts = ExportedFacts
 
-    def write_episode(self, episode: Episode, options: NavDpOptions, folder: Path) -> SceneFacts:
+    def write_episode(self, episode: Episode, options: NavDpOptions, folder: Path) -> ExportedFacts:
         """Writes the table and the images of one episode."""
         job = episode.meta.job
         place = folder / _ROOT / GROUP / job.scene
@@ -138,9 +138,9 @@ class NavDpExporter(Exporter[NavDpOptions, SceneFacts]):
             "action": poses.tolist(),
         }
         _write_table(place / "data/chunk-000", episode, columns, [t / job.task.control_hz for t in steps])
-        return SceneFacts(frames=len(steps), scene=job.scene, scene_sha256=job.scene_sha256)
+        return ExportedFacts(frames=len(steps), scene=job.scene, scene_sha256=job.scene_sha256)
 
-    def finish(self, export: Finish[NavDpOptions, SceneFacts]) -> None:
+    def finish(self, export: Finish[NavDpOptions, ExportedFacts]) -> None:
         """Writes the tables and the points of each scene, and the card."""
         for scene, pieces in _by_scene(export.pieces):
             meta = f"{_ROOT}/{GROUP}/{scene}/meta"
@@ -152,15 +152,15 @@ class NavDpExporter(Exporter[NavDpOptions, SceneFacts]):
         export.out.write_text(CARD_FILE, export_card(export.dataset.meta, len(export.pieces), text, tags=("navdp",)))
 
 
-class InternNavExporter(Exporter[InternNavOptions, SceneFacts]):
+class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
     """Exporter of format `internnav`: keyframes with the discrete actions of VLN-CE and pixel goals."""
 
     name = "internnav"
     about = "keyframes with discrete actions and pixel goals, for InternVLA-N1 of InternNav"
     options = InternNavOptions
-    facts = SceneFacts
+    facts = ExportedFacts
 
-    def write_episode(self, episode: Episode, options: InternNavOptions, folder: Path) -> SceneFacts:
+    def write_episode(self, episode: Episode, options: InternNavOptions, folder: Path) -> ExportedFacts:
         """Writes the table and the keyframes of one episode."""
         job, number = episode.meta.job, _number(episode.episode_id)
         frames, actions = keyframes(episode.poses)
@@ -184,9 +184,9 @@ class InternNavExporter(Exporter[InternNavOptions, SceneFacts]):
             f"relative_goal_frame_id.{setting}": [goal.ahead for goal in goals],
         }
         _write_table(place / "data" / chunk, episode, columns, [t / job.task.control_hz for t in frames])
-        return SceneFacts(frames=len(frames), scene=job.scene, scene_sha256=job.scene_sha256)
+        return ExportedFacts(frames=len(frames), scene=job.scene, scene_sha256=job.scene_sha256)
 
-    def finish(self, export: Finish[InternNavOptions, SceneFacts]) -> None:
+    def finish(self, export: Finish[InternNavOptions, ExportedFacts]) -> None:
         """Writes the episodes of each scene, and the card."""
         for scene, pieces in _by_scene(export.pieces):
             export.out.write_text(f"{_ROOT}/{scene}/meta/episodes.jsonl", _lines(_entry(piece) for piece in pieces))
@@ -321,7 +321,7 @@ def obstacle_points(scene: CompiledScene) -> tuple[Floats, NDArray[np.uint8]]:
     return np.concatenate(parts), np.concatenate(colours)
 
 
-def _write_points(out: Output, name: str, piece: ExportPiece[SceneFacts]) -> None:
+def _write_points(out: Output, name: str, piece: ExportPiece[ExportedFacts]) -> None:
     if out.has(name):
         return
     facts = piece.facts
@@ -357,17 +357,17 @@ def _number(episode_id: str) -> int:
 
 
 def _by_scene(
-    pieces: Sequence[ExportPiece[SceneFacts]],
-) -> Iterator[tuple[str, list[ExportPiece[SceneFacts]]]]:
+    pieces: Sequence[ExportPiece[ExportedFacts]],
+) -> Iterator[tuple[str, list[ExportPiece[ExportedFacts]]]]:
     """Yields the pieces of each scene, in the order of their numbers, as the loaders list files."""
-    groups: dict[str, list[ExportPiece[SceneFacts]]] = {}
+    groups: dict[str, list[ExportPiece[ExportedFacts]]] = {}
     for piece in pieces:
         groups.setdefault(piece.facts.scene, []).append(piece)
     for scene, group in sorted(groups.items()):
         yield scene, sorted(group, key=lambda piece: piece.episode_id)
 
 
-def _entry(piece: ExportPiece[SceneFacts]) -> dict[str, Any]:
+def _entry(piece: ExportPiece[ExportedFacts]) -> dict[str, Any]:
     """Returns the line of an episode in `episodes.jsonl`."""
     return {
         "episode_index": _number(piece.episode_id),
@@ -378,7 +378,7 @@ def _entry(piece: ExportPiece[SceneFacts]) -> dict[str, Any]:
     }
 
 
-def _image_ranges(pieces: Sequence[ExportPiece[SceneFacts]]) -> Iterator[dict[str, Any]]:
+def _image_ranges(pieces: Sequence[ExportPiece[ExportedFacts]]) -> Iterator[dict[str, Any]]:
     """Yields the first and last image of each episode among the sorted images of a scene."""
     first = 0
     for piece in pieces:

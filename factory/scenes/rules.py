@@ -98,9 +98,13 @@ class CategoryRule(Model):
         return self
 
     @cached_property
+    def _patterns(self) -> tuple[re.Pattern[str], ...]:
+        whole = (f"(?:^|_)(?:{word})(?:s|es)?(?:_|$)" for word in self.words)
+        return tuple(map(re.compile, (*whole, *self.include)))
+
+    @cached_property
     def _included(self) -> re.Pattern[str]:
-        whole = [f"(?:^|_)(?:{word})(?:s|es)?(?:_|$)" for word in self.words]
-        return re.compile("|".join((*whole, *self.include)))
+        return re.compile("|".join(pattern.pattern for pattern in self._patterns))
 
     @cached_property
     def _excluded(self) -> re.Pattern[str] | None:
@@ -114,9 +118,11 @@ class CategoryRule(Model):
         more = _MORE_NAMES.get(self.category)
         return bool(self._included.search(words) or (more and more.fullmatch(words)))
 
-    def end_of(self, words: str) -> int:
-        """Returns the end of the last match of the rule in a split name; 0 without a match."""
-        return max((found.end() - found[0].endswith("_") for found in self._included.finditer(words)), default=0)
+    def last_of(self, words: str) -> tuple[int, int]:
+        """Returns the end and the length of the last match in a split name, the longest of those; zeros without one."""
+        found = (match for pattern in self._patterns for match in pattern.finditer(words))
+        ends = ((match.end() - match[0].endswith("_"), len(match[0].strip("_"))) for match in found)
+        return max(ends, default=(0, 0))
 
 
 def _is_part(words: str) -> bool:
@@ -141,11 +147,12 @@ class RuleBook(Model):
     def matches(self, name: str) -> Iterator[CategoryRule]:
         """Yields the rules whose patterns match a prim name or label: the last thing of the name first.
 
-        A `sink_area_dish_washer` is a dishwasher. Rules of the same words are in their order.
+        A `sink_area_dish_washer` is a dishwasher, and a `microwave_oven` a microwave. Rules of the same words are in
+        their order.
         """
         words = split_name(name)
         found = [rule for rule in self.rules if rule.names(words)]
-        return iter(sorted(found, key=lambda rule: -rule.end_of(words)))  # stable: equal ends keep their order
+        return iter(sorted(found, key=lambda rule: rule.last_of(words), reverse=True))
 
     def match(self, name: str) -> CategoryRule | None:
         """Returns the first rule whose patterns match a prim name or label, or `None`."""

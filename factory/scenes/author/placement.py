@@ -130,7 +130,7 @@ class PropPlacement:
         return float(self.model.low[2]) + self.z, float(self.model.high[2]) + self.z
 
 
-class Solid(NamedTuple):
+class PieceBox(NamedTuple):
     """Upright box around a piece: its corners in the frame of its prop, and the pose of the prop."""
 
     low: Floats
@@ -138,12 +138,12 @@ class Solid(NamedTuple):
     placement: PropPlacement
 
 
-def solids(placement: PropPlacement) -> list[Solid]:
+def solids(placement: PropPlacement) -> list[PieceBox]:
     """Returns the boxes of the pieces of a prop."""
-    return [Solid(low, high, placement) for low, high in placement.model.boxes]
+    return [PieceBox(low, high, placement) for low, high in placement.model.boxes]
 
 
-def penetration(one: Solid, two: Solid) -> float:
+def penetration(one: PieceBox, two: PieceBox) -> float:
     """Returns the depth by which two upright boxes intersect, metres; 0 or less if they do not intersect.
 
     The depth is the smallest of the overlaps along the height and along the horizontal sides of both boxes.
@@ -154,7 +154,7 @@ def penetration(one: Solid, two: Solid) -> float:
     return float(z) if z <= 0.0 else min(float(z), *(_overlap(a, b) for a, b in ((one, two), (two, one))))
 
 
-def _overlap(frame: Solid, other: Solid) -> float:
+def _overlap(frame: PieceBox, other: PieceBox) -> float:
     """Returns the smaller of the overlaps along the two horizontal sides of the first box, metres."""
     (x0, y0), (x1, y1) = other.low[:2], other.high[:2]
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) @ _turn(other.placement.yaw)

@@ -153,7 +153,7 @@ def test_a_world_is_read_without_its_missing_models_and_meshes_on_request(tmp_pa
 def test_the_error_of_a_robot_file_without_a_floor_names_the_option_that_adds_a_floor(tmp_path: Path) -> None:
     rest = re.sub(r'<link name="Floor".*?</link>|<joint name="to_Floor".*?</joint>', "", urdf_room(), flags=re.DOTALL)
     path = write(tmp_path / "room.urdf", rest)
-    with pytest.raises(WorldError, match=r"--floor M"):
+    with pytest.raises(WorldError, match=r"if the file has no ground, add one with --floor 0"):
         import_scene(path, "room", tmp_path / "cache")
     assert [file.name for file in (tmp_path / "cache").iterdir()] == ["room.map.png"]
     with import_scene(path, "room", tmp_path / "cache", limits=StageLimits(floor_m=0.0)).open("rb") as file:
