@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, MutableMapping
 from contextlib import ExitStack
-from importlib.metadata import version
 from pathlib import Path
 
 import structlog
@@ -39,6 +38,7 @@ from schemas.protocol.administration import AdminAction, AdminReply, AdminReques
 from schemas.protocol.messages import Hello
 from schemas.protocol.status import Progress
 from schemas.support.closing import Closing
+from schemas.support.product import product_version
 
 _WAIT_S = 0.5
 _ADMIN_S = 30.0
@@ -194,7 +194,7 @@ class Coordinator(Closing):
         return Terms(
             plan=plan,
             catalog=catalog,
-            version=version("minivla-factory"),
+            version=product_version(),
             lease_ttl_s=options.settings.lease_ttl_s,
             retry_after_s=options.settings.retry_after_s,
             is_draining=self._draining.is_set,

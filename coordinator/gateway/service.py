@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
-from importlib.metadata import version
 from pathlib import Path
 
 import structlog
@@ -32,6 +31,7 @@ from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
 from schemas.protocol.keys import BundleRange, Verb
 from schemas.support.closing import Closing
+from schemas.support.product import product_version
 
 _ORDERS_S = 0.25
 _SILENCE_S = 10.0
@@ -144,7 +144,7 @@ class Gateway(Closing):
 
     def _join(self, root: Path, name: str, checker: EpisodeValidator, stop: threading.Event) -> str:
         """Joins the run of the core and reconciles the directory with the ledger."""
-        join = Join(version=version("minivla-factory"), router=self._node.router_id)
+        join = Join(version=product_version(), router=self._node.router_id)
         terms = self._core.request_until_reply(Verb.JOIN, join, JoinReply, stop)
         is_new = not has_owner(root)
         require_owner(root, terms.run, name)

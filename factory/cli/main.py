@@ -107,8 +107,23 @@ class _Commands(CommandGroup):
         return [CompletionItem(name, help=VERBS[name].summary) for name in VERBS if name.startswith(incomplete)]
 
 
+def _print_version(ctx: click.Context, _parameter: click.Parameter, is_given: bool) -> None:
+    if is_given:
+        from schemas.support.product import product_version
+
+        click.echo(f"factory, version {product_version()}")
+        ctx.exit()
+
+
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="minivla-factory", prog_name="factory")
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_print_version,
+    help="Print the version: the release and a digest of the source.",
+)
 def cli() -> None:
     """A distributed data factory for language-conditioned robot navigation.
 

@@ -13,7 +13,6 @@ import threading
 import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import version
 
 from coordinator.archive.objects import other_holder
 from coordinator.expansion.catalog import Catalog
@@ -27,6 +26,7 @@ from schemas.protocol.status import Progress
 from schemas.storage.dataset_files import RUN_SHARD_FILE
 from schemas.storage.disk import replacing
 from schemas.storage.object_path import ObjectPath
+from schemas.support.product import product_version
 
 _INTERVAL_S = 30.0
 """Minimum time between two writes of the state, seconds."""
@@ -123,7 +123,7 @@ class ShardRecorder:
     def _write(self, progress: Progress, *, finished: bool = False) -> None:
         path = self.site.place / RUN_SHARD_FILE
         former = read_shard_state(self.site.place)
-        versions = {version("minivla-factory"), *(() if former is None else former.versions)}
+        versions = {product_version(), *(() if former is None else former.versions)}
         state = ShardState(
             shard=self.shard,
             run=self.plan.run,

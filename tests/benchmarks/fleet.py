@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
-from importlib.metadata import version
 from multiprocessing.connection import Connection
 
 import zenoh
@@ -24,6 +23,7 @@ from schemas.base import Model
 from schemas.errors import TransientError
 from schemas.protocol.keys import RANGE_FIELDS, Verb, alive_key, bundle_key, parse_bundle_ranges, verb_key
 from schemas.protocol.messages import Beat, BeatReply, Claim, Done, Hello, Lease
+from schemas.support.product import product_version
 
 _LINK_LEASE_S = 60.0
 _ASK_S = 30.0
@@ -79,7 +79,7 @@ class BenchWorker:
 
     def introduce(self) -> None:
         """Sends the `hello` request."""
-        self.ask(Verb.HELLO, Hello(sid=self.sid, host=self._host, slots=1, version=version("minivla-factory")))
+        self.ask(Verb.HELLO, Hello(sid=self.sid, host=self._host, slots=1, version=product_version()))
 
     def ask_for_work(self) -> bytes:
         """Sends a claim and returns the reply, unparsed, with or without a job."""

@@ -139,7 +139,7 @@ def _use(wheel: Path, folder: Path, version: str) -> None:
     _say("installing the wheel into a new environment")
     environment = install(python, _PYTHON, folder / "venv", wheel)
     said = environment.run("factory", "--version", cwd=folder).stdout
-    if version not in said.split():
+    if version not in [word.partition("+")[0] for word in said.split()]:
         sys.exit(f"error: the installed command has version {said.strip()!r}, expected {version}")
     imported = "import minivla, sys; sys.exit(minivla.__version__ != sys.argv[1])"
     environment.run("python", "-c", imported, version, cwd=folder)

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -27,6 +26,7 @@ from schemas.protocol.administration import AdminAction, AdminReply, AdminReques
 from schemas.protocol.keys import BundleRange, Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
 from schemas.protocol.messages import Claim, ClaimReply, Done
 from schemas.support.child import python_module
+from schemas.support.product import product_version
 from tests.builders.evaluation import open_store, standing_still
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
@@ -110,7 +110,7 @@ def test_an_unauthorised_evaluation_names_the_host_list(drives, hub, pki, tmp_pa
 
 def test_an_evaluator_can_neither_claim_jobs_nor_administer_the_run(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "desk", files_of(pki, "desk")) as claiming_peer:
-        assert claiming_peer.hello(version("minivla-factory")) is None
+        assert claiming_peer.hello(product_version()) is None
         assert claiming_peer.ask(Verb.CLAIM, Claim(sid=claiming_peer.sid, token="0" * 32), ClaimReply) is None
         assert claiming_peer.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
     assert hub.progress().jobs["pending"] == 2000
@@ -138,7 +138,7 @@ def test_an_evaluator_can_neither_receive_nor_answer_messages_of_the_collection(
         listener.declare_queryable(verb_pattern(hub.run), answer_falsely)
         listener.declare_queryable(verb_pattern("*"), answer_falsely)
         time.sleep(0.3)
-        worker.hello(version("minivla-factory"))
+        worker.hello(product_version())
         job, lease = worker.job()
         done = Done(sid=worker.sid, lease=lease, sha256="0" * 64, size=9, via=worker.via)
         worker.spool[lease.job_id, lease.fence] = done, b"secret" * 100

@@ -6,7 +6,6 @@ import contextlib
 import shutil
 import time
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,7 @@ from schemas.protocol.administration import AdminAction, AdminReply, AdminReques
 from schemas.protocol.identity import Role
 from schemas.protocol.keys import Verb, bundle_key, verb_key, verb_pattern
 from schemas.protocol.messages import Ack, HelloReply
+from schemas.support.product import product_version
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
@@ -34,7 +34,7 @@ SETTINGS = CoordinatorSettings(
     reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=60.0, admission_s=0.2
 )
 ANY_PORT = ("tls/127.0.0.1:0",)
-VERSION = version("minivla-factory")
+VERSION = product_version()
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from schemas.base import MAX_COUNT
 from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Ack, Lease, Refusal
+from schemas.support.product import product_version
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import TTL_S, TimedLedger, room_catalog, room_plan
 from tests.builders.shared_validator import SharedValidator
@@ -77,7 +77,7 @@ def attack(peer: WireWorker, number: int) -> list[Any]:
     """Sends a false gateway message of each kind; returns the replies."""
     foreign = summary_of(parts_for(job_for(1 + number % EPISODES)).meta, "1" * 64, 7)
     messages = (
-        (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
+        (Verb.JOIN, Join(version=product_version(), router=f"{number:x}"), JoinReply),
         (Verb.HOLD, ExtendLease(lease=STRANGE, seconds=600.0), Ack),
         (Verb.REFUSED, Refused(sid="good.1", lease=STRANGE, detail="x" * 2000), Ack),
         (Verb.ARCHIVED, message_about(foreign.model_copy(update={"run": "other"})), Ack),

@@ -6,7 +6,6 @@ import json
 import threading
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from schemas.dataset.rows import summary_of
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import Verb, verb_key
 from schemas.protocol.messages import Ack, Beat, BeatReply, Hello, HelloReply, Refusal
+from schemas.support.product import product_version
 from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan
@@ -75,7 +75,7 @@ def with_every_number(message: dict[str, Any], number: Any) -> Iterator[dict[str
 
 
 MESSAGES: dict[str, dict[str, Any]] = {
-    "hello": {"sid": "host.1", "host": "host", "slots": 1, "version": version("minivla-factory")},
+    "hello": {"sid": "host.1", "host": "host", "slots": 1, "version": product_version()},
     "claim": {"sid": "host.1", "token": "0" * 32},
     "beat": {"sid": "host.1", "via": "0"},
     "done": REPORT | {"sha256": "0" * 64, "size": 7},
@@ -84,7 +84,7 @@ MESSAGES: dict[str, dict[str, Any]] = {
     "inventory": {"first": 1, "last": 1, "files": []},
     "orders": {"router": "0", "most": 1},
     "refused": REPORT | {"detail": "x"},
-    "join": {"version": version("minivla-factory"), "router": "0"},
+    "join": {"version": product_version(), "router": "0"},
     "archived": {"summary": summary_of(parts_for().meta, "0" * 64, 7).model_dump(mode="json"), "lease": LEASE},
     "admin": {"action": "retry", "indices": []},
 }
@@ -98,7 +98,7 @@ def test_no_message_of_a_peer_makes_the_coordinator_fail(hub, peer, verb):
             for message in with_every_number(MESSAGES[verb], value):
                 assert answer(peer, verb, message) is not None, message
     assert [line for line in lines if line["log_level"] in {"warning", "error", "critical"}] == []
-    assert isinstance(peer.hello(version("minivla-factory")), HelloReply)
+    assert isinstance(peer.hello(product_version()), HelloReply)
 
 
 def answer(peer: WireWorker, verb: str, message: dict[str, Any]) -> bytes | None:
@@ -138,7 +138,7 @@ def test_a_long_name_of_a_field_is_refused_without_being_repeated(hub, peer):
 
 @pytest.mark.slow
 def test_a_host_has_a_bounded_number_of_sessions(hub, peer):
-    mine = version("minivla-factory")
+    mine = product_version()
     replies = [
         peer.ask(Verb.HELLO, Hello(sid=f"host.{number}", host="host", slots=1, version=mine), HelloReply)
         for number in range(SESSIONS_OF_HOST + 5)
@@ -187,7 +187,7 @@ def test_a_host_that_announces_invalid_bundles_is_barred_and_can_be_released(hub
     try:
         until(lambda: any(host.strikes >= 2 for host in hub.progress().hosts))
         with WireWorker(hub.endpoints, hub.run, "good") as good:
-            good.hello(version("minivla-factory"))
+            good.hello(product_version())
 
             def is_finished() -> bool:
                 reply = good.claim()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -21,6 +20,7 @@ from coordinator.validation.validator import Validator
 from factory.dataset.site import site_of
 from factory.runs.ledger import progress_of
 from schemas.errors import UsageError, WorldError
+from schemas.support.product import product_version
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
 from tests.builders.postgres import Postgres
@@ -45,7 +45,7 @@ def finished(tmp_path: Path, url: str, checker: SharedValidator) -> RepairInput:
         Coordinator(tmp_path / "out", plan, catalog, options) as hub,
         WireWorker(hub.endpoints, hub.run) as worker,
     ):
-        worker.hello(version("minivla-factory"))
+        worker.hello(product_version())
         for _ in range(2):
             job, lease = worker.job()
             assert worker.deliver(lease, bundle_for(job))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -21,13 +20,14 @@ from schemas.protocol.address_file import mark_finished, read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import Chunk, Verb, scene_selector
 from schemas.protocol.messages import Beat, BeatReply, Claim, ClaimReply, HelloReply, Refusal
+from schemas.support.product import product_version
 from schemas.terms import FailReason, Recording
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.shared_validator import SharedValidator
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
-VERSION = version("minivla-factory")
+VERSION = product_version()
 
 
 def settings(**changes: object) -> CoordinatorSettings:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from factory.dataset.reader import Dataset
 from schemas.errors import InvalidBundle
 from schemas.job import Job
 from schemas.protocol.messages import HelloReply
+from schemas.support.product import product_version
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
@@ -68,7 +68,7 @@ def test_a_host_that_falsely_announces_a_validation_is_barred_and_its_invalid_ep
         started(tmp_path, 0.0) as coordinator,
         WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,
     ):
-        hello = false_peer.hello(version("minivla-factory"))
+        hello = false_peer.hello(product_version())
         assert isinstance(hello, HelloReply)
         assert hello.validates
         for number, make in enumerate((bundle_for, forged_for), 1):
@@ -111,7 +111,7 @@ def test_without_spot_checks_workers_do_not_validate_and_announced_validations_a
         WireWorker(coordinator.endpoints, coordinator.run, "false-peer") as false_peer,
     ):
         for _ in range(2):
-            hello = false_peer.hello(version("minivla-factory"))
+            hello = false_peer.hello(product_version())
             assert isinstance(hello, HelloReply)
             assert not hello.validates
         until(lambda: any(line["event"] == "worker_joined" for line in lines))

@@ -8,7 +8,6 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -22,6 +21,7 @@ from coordinator.status.server import StatusServer
 from factory.dataset.site import site_of
 from factory.runs.ledger import progress_of
 from schemas.errors import UsageError, WorldError
+from schemas.support.product import product_version
 from schemas.terms import FailReason
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
@@ -86,7 +86,7 @@ def test_a_running_coordinator_is_healthy_and_ready(server):
 
 def test_metrics_follow_the_run(opened, server):
     with WireWorker(opened.endpoints, opened.run) as worker:
-        worker.hello(version("minivla-factory"))
+        worker.hello(product_version())
         job, lease = worker.job()
         assert worker.fail(lease, FailReason.TIMEOUT)
         job, lease = worker.job()

@@ -7,7 +7,6 @@ import shutil
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -27,6 +26,7 @@ from schemas.protocol.identity import Role, TlsFiles
 from schemas.protocol.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
 from schemas.protocol.messages import Claim, ClaimReply, HelloReply
 from schemas.support.child import python_module
+from schemas.support.product import product_version
 from tests.builders.bundle import parts_for
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
@@ -89,7 +89,7 @@ def answers(session: zenoh.Session, selector: str, payload: str = "") -> list[by
 
 def test_an_admitted_worker_completes_a_job(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
-        assert isinstance(worker.hello(version("minivla-factory")), HelloReply)
+        assert isinstance(worker.hello(product_version()), HelloReply)
         for _ in range(2):
             job, lease = worker.job()
             assert worker.fetch(scene_selector(hub.run, job.scene_sha256, Chunk(0, 100)))
@@ -137,13 +137,13 @@ def test_a_signed_certificate_of_a_host_outside_the_host_list_gives_no_access(hu
         folder, "stranger", Role.WORKER, (), 1, datetime.now(UTC)
     )  # signed, but not in the host list of the coordinator
     with WireWorker(hub.endpoints, hub.run, "stranger", files_of(folder, "stranger")) as worker:
-        assert worker.hello(version("minivla-factory")) is None
+        assert worker.hello(product_version()) is None
     assert hub.progress().workers == ()
 
 
 def test_a_host_cannot_send_requests_under_another_name(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as false_peer:
-        assert false_peer.hello(version("minivla-factory")) is None
+        assert false_peer.hello(product_version()) is None
         assert false_peer.ask(Verb.CLAIM, Claim(sid=false_peer.sid, token=secrets.token_hex(16)), ClaimReply) is None
     assert hub.progress().workers == ()
     assert hub.progress().jobs["pending"] == 2
@@ -159,7 +159,7 @@ def test_a_host_cannot_send_operator_requests(hub, pki):
 @pytest.mark.parametrize("victim", ["node-1", "other"])
 def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_in_the_name_of_another_host(hub, pki, victim):
     with WireWorker(hub.endpoints, hub.run, victim, files_of(pki, victim)) as honest:
-        honest.hello(version("minivla-factory"))
+        honest.hello(product_version())
         job, lease = honest.job()
         asked: list[str] = []
 
@@ -183,7 +183,7 @@ def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_in_the_name_of_
 
 def test_a_host_cannot_read_bundles_of_another_host(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
-        honest.hello(version("minivla-factory"))
+        honest.hello(product_version())
         _, lease = honest.job()
         honest.is_frozen = True  # not even the coordinator can pull the bundle, so it remains in the spool
         honest.deliver(lease, b"secret" * 100)
@@ -256,15 +256,15 @@ def test_a_revoked_host_loses_access_while_others_continue(pki, tmp_path):
         WireWorker(hub.endpoints, hub.run, "node", files_of(mine, "node")) as bad,
         WireWorker(hub.endpoints, hub.run, "other", files_of(mine, "other")) as good,
     ):
-        assert isinstance(bad.hello(version("minivla-factory")), HelloReply)
+        assert isinstance(bad.hello(product_version()), HelloReply)
         job, lease = good.job()
         revoke(mine, "node")
-        until(lambda: bad.hello(version("minivla-factory")) is None)
-        until(lambda: good.hello(version("minivla-factory")) is not None)
+        until(lambda: bad.hello(product_version()) is None)
+        until(lambda: good.hello(product_version()) is not None)
         good.spool.clear()
         assert good.deliver(lease, parts_for(job).write())
         until(lambda: hub.progress().jobs["archived"] == 1)
-        assert bad.hello(version("minivla-factory")) is None
+        assert bad.hello(product_version()) is None
         admit(mine, "late", Role.WORKER, (), 1, datetime.now(UTC))
         until(lambda: ask_hello(hub, mine, "late"))
 
@@ -272,7 +272,7 @@ def test_a_revoked_host_loses_access_while_others_continue(pki, tmp_path):
 def ask_hello(hub: Coordinator, pki: Path, name: str) -> bool:
     try:
         with WireWorker(hub.endpoints, hub.run, name, files_of(pki, name)) as worker:
-            return isinstance(worker.hello(version("minivla-factory")), HelloReply)
+            return isinstance(worker.hello(product_version()), HelloReply)
     except zenoh.ZError:
         return False
 
@@ -285,12 +285,12 @@ def test_the_job_of_a_revoked_host_is_reassigned_and_its_bundle_is_refused(pki, 
         WireWorker(hub.endpoints, hub.run, "node", files_of(mine, "node")) as bad,
         WireWorker(hub.endpoints, hub.run, "other", files_of(mine, "other")) as good,
     ):
-        bad.hello(version("minivla-factory"))
+        bad.hello(product_version())
         job, lease = bad.job()
         revoke(mine, "node")
-        until(lambda: bad.hello(version("minivla-factory")) is None)
+        until(lambda: bad.hello(product_version()) is None)
         assert not bad.deliver(lease, bundle_for(job))
-        until(lambda: good.hello(version("minivla-factory")) is not None)
+        until(lambda: good.hello(product_version()) is not None)
         done = set()
         while len(done) < 2:
             given, under = good.job()

@@ -7,7 +7,6 @@ import os
 import ssl
 import threading
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import quote
 
@@ -22,6 +21,7 @@ from factory.web.start import serve
 from schemas.errors import UsageError
 from schemas.protocol.keys import Verb
 from schemas.protocol.messages import Beat, BeatReply, HelloReply, HostMemory
+from schemas.support.product import product_version
 from schemas.terms import Recording
 from tests.benchmarks.attack import flood, slow_clients
 from tests.builders.archived import ArchivedRun
@@ -85,7 +85,7 @@ def test_a_server_with_many_slow_clients_answers_other_clients_and_the_run_conti
 def test_the_farm_page_shows_the_memory_that_a_heartbeat_reports(run):
     coordinator, client = run
     with WireWorker(coordinator.endpoints, coordinator.run) as worker:
-        assert isinstance(worker.hello(version("minivla-factory")), HelloReply)
+        assert isinstance(worker.hello(product_version()), HelloReply)
         memory = HostMemory(used_bytes=3 * 10**9, total_bytes=8 * 10**9)
         assert isinstance(worker.ask(Verb.BEAT, Beat(sid=worker.sid, memory=memory), BeatReply), BeatReply)
         until(lambda: "3.0 GB of 8.0 GB" in client.ask("/").text)

@@ -6,7 +6,6 @@ Also detects an unreachable coordinator and opens the link again. Does not claim
 from __future__ import annotations
 
 import time
-from importlib.metadata import version
 from pathlib import Path
 
 import structlog
@@ -25,6 +24,7 @@ from schemas.protocol.messages import (
     RunKind,
     SpooledBundle,
 )
+from schemas.support.product import product_version
 from workers.client.host import Host
 
 _KIB = 1024
@@ -54,7 +54,7 @@ log = structlog.get_logger(__name__)
 
 
 def make_hello(sid: str, host: str, slots: int) -> Hello:
-    return Hello(sid=sid, host=host, slots=slots, version=version("minivla-factory"))
+    return Hello(sid=sid, host=host, slots=slots, version=product_version())
 
 
 def make_done(entry: SpooledBundle, host: Host) -> Done:

@@ -99,13 +99,50 @@ def start_target(job: Job, info: SceneInfo) -> Target:
     return next(each for each in info.targets if each.instance_id == job.choice.around)
 
 
-def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> bool:
-    """Returns whether heading and image of a pose meet the job's conditions; renders only what is needed."""
+class Choices:
+    """The objects that could be the target from a pose; the image of the last pose is rendered once.
+
+    Args:
+        job: job of the episode.
+        info: scene of the job.
+        renderer: renderer with the scene loaded.
+    """
+
+    def __init__(self, job: Job, info: SceneInfo, renderer: Renderer) -> None:
+        self._job, self._info, self._renderer = job, info, renderer
+        self._last: tuple[Pose, tuple[Target, ...]] | None = None
+
+    def at(self, pose: Pose) -> tuple[Target, ...]:
+        """Returns the objects; none if there are fewer than the job requires."""
+        # the view, the sentences and the aim of a start are tested at one pose, and rendering takes most of the time
+        if self._last is None or self._last[0] != pose:
+            self._last = pose, self._find(pose)
+        return self._last[1]
+
+    def _find(self, pose: Pose) -> tuple[Target, ...]:
+        job, info = self._job, self._info
+        assert job.start_view is not None
+        candidates, start, least = (
+            candidates_of(job, info),
+            (pose.x, pose.y, pose.yaw),
+            job.start_view.least_same_category,
+        )
+        if not may_exchange(job, candidates, start, least + 1):
+            return ()
+        choices = exchangeable_targets(job, candidates, start, self._renderer.render_depth_and_ids(pose).ids)
+        return choices if len(choices) > least else ()
+
+
+def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose, choices: Choices | None = None) -> bool:
+    """Returns whether heading and image of a pose meet the job's conditions; renders only what is needed.
+
+    `choices` may contain the objects that could be the target from that pose.
+    """
     view, least = job.start_view, job.gains.min_mask_px
     if view is None:
         return True
     if view.choice is not None:
-        return bool(_choices(job, info, renderer, pose))
+        return bool((choices or Choices(job, info, renderer)).at(pose))
     target = info.target(job.target_id)
     instance_id = target.instance_id
     x, y, _ = target.centroid_m
@@ -130,16 +167,6 @@ def is_view_clear(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> 
     )
 
 
-def _choices(job: Job, info: SceneInfo, renderer: Renderer, pose: Pose) -> tuple[Target, ...]:
-    """Returns the objects that could be the target from a pose; none if there are fewer than the job requires."""
-    assert job.start_view is not None
-    candidates, start, least = candidates_of(job, info), (pose.x, pose.y, pose.yaw), job.start_view.least_same_category
-    if not may_exchange(job, candidates, start, least + 1):
-        return ()
-    choices = exchangeable_targets(job, candidates, start, renderer.render_depth_and_ids(pose).ids)
-    return choices if len(choices) > least else ()
-
-
 class SentenceSearch:
     """Test of starts for the sentences of a job, before the physics.
 
@@ -149,11 +176,11 @@ class SentenceSearch:
     Args:
         job: job of the episode.
         scene: scene of the job.
-        renderer: renderer with the scene loaded.
+        choices: the objects that could be the target.
     """
 
-    def __init__(self, job: Job, scene: LoadedScene, renderer: Renderer) -> None:
-        self._job, self._scene, self._renderer = job, scene, renderer
+    def __init__(self, job: Job, scene: LoadedScene, choices: Choices) -> None:
+        self._job, self._scene, self._choices = job, scene, choices
         self._leading = _leading_feature(job)
         self._rejected: list[Pose] = []
 
@@ -164,7 +191,7 @@ class SentenceSearch:
             return True  # the sentence is written after the physics
         targets = [scene.compiled.info.target(job.target_id)]
         if job.choice is not None:
-            targets = list(_choices(job, scene.compiled.info, self._renderer, pose))
+            targets = list(self._choices.at(pose))
         sentences = [write_instruction(job.aimed_at(target), scene, pose) for target in targets]
         if not sentences or not all(sentences):
             return False
@@ -188,7 +215,7 @@ def _leading_feature(job: Job) -> Family | None:
     return composer_of(job.language).leading_feature(job.language_rng())
 
 
-def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> EpisodeAim | None:
+def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose, choices: Choices) -> EpisodeAim | None:
     """Returns the target and the sentence of an episode that starts at a pose.
 
     If the target is drawn at the start, each object that could be the target must have a sentence and a path.
@@ -199,6 +226,7 @@ def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
         scene: scene of the job.
         renderer: renderer with the scene loaded.
         pose: pose of base_link at rest, whose view is clear.
+        choices: the objects that could be the target.
 
     Returns:
         Target and sentence; `None` if a sentence also fits other objects, or if an object that could be the target has
@@ -208,7 +236,7 @@ def find_aim(job: Job, scene: LoadedScene, renderer: Renderer, pose: Pose) -> Ep
         instruction = write_instruction(job, scene, pose)
         is_missing = instruction is None and job.language is not None
         return None if is_missing else EpisodeAim(job, scene.compiled.info.target(job.target_id), instruction)
-    targets = _choices(job, scene.compiled.info, renderer, pose)
+    targets = choices.at(pose)
     aims = [
         _exchangeable_aim(job, target, targets=targets, scene=scene, renderer=renderer, pose=pose) for target in targets
     ]

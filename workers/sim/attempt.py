@@ -25,6 +25,7 @@ from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
 from workers.sim.aim import (
+    Choices,
     EpisodeAim,
     SentenceSearch,
     ends_in_view,
@@ -97,8 +98,9 @@ def run_attempt(
     context.renderer.load(
         scene.compiled, job.camera
     )  # loaded before the world is built, because both can need much memory
-    is_clear = partial(is_view_clear, job, scene.compiled.info, context.renderer)
-    sentences = SentenceSearch(job, scene, context.renderer)
+    choices = Choices(job, scene.compiled.info, context.renderer)
+    is_clear = partial(is_view_clear, job, scene.compiled.info, context.renderer, choices=choices)
+    sentences = SentenceSearch(job, scene, choices)
 
     def accepts(pose: Pose) -> bool:
         # many choices of targets lack a sentence, so sentences are tested before the physics
@@ -109,7 +111,7 @@ def run_attempt(
         with World(scene.compiled, scene.collider, job.robot, job.task.control_hz) as world:
             if not (is_spawn_stable(world, start, job) and is_clear(world.pose())):
                 continue
-            aim = find_aim(job, scene, context.renderer, world.pose())
+            aim = find_aim(job, scene, context.renderer, world.pose(), choices)
             if aim is None:
                 continue
             attempt = _Attempt(aim, scene, context=context, out=out, sid=sid, on_step=on_step)

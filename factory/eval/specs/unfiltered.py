@@ -31,7 +31,7 @@ from schemas.terms import TIER_RANGE_M, ExpertName, Split, Tier
 from workers.geometry.grid import body_centre
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
-from workers.sim.aim import find_aim, is_view_clear, start_target
+from workers.sim.aim import Choices, find_aim, is_view_clear, start_target
 from workers.sim.context import LoadedScene, SimulationContext
 from workers.sim.spawn import Start, draw_among
 
@@ -134,9 +134,10 @@ def _spec(
                 view = simulator.reset(_described(job, pose), scene)
             except UnstableStart:
                 continue
-            if not is_view_clear(job, scene.compiled.info, context.renderer, view.pose):
+            choices = Choices(job, scene.compiled.info, context.renderer)
+            if not is_view_clear(job, scene.compiled.info, context.renderer, view.pose, choices):
                 continue
-            aim = find_aim(job, scene, context.renderer, view.pose)
+            aim = find_aim(job, scene, context.renderer, view.pose, choices)
             if aim is None:
                 continue
             drawn, target, instruction = _described(aim.job, pose), aim.target, aim.instruction
