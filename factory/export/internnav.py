@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
@@ -222,22 +223,11 @@ def camera_poses(poses: Floats, camera: CameraConfig, axes: Floats) -> Floats:
         camera: camera on base_link.
         axes: (3, 3) the axes of the camera frame in base_link, as columns.
     """
-    turns = _rotations(poses[:, 3:])
+    turns = Rotation.from_quat(poses[:, [4, 5, 6, 3]]).as_matrix()
     result = np.tile(np.eye(4), (len(poses), 1, 1))
     result[:, :3, :3] = turns @ axes
     result[:, :3, 3] = poses[:, :3] + turns @ np.array((camera.x_m, camera.y_m, camera.z_m))
     return result
-
-
-def _rotations(quaternions: Floats) -> Floats:
-    """Returns the (T, 3, 3) rotation matrices of (T, 4) unit quaternions w, x, y, z."""
-    w, x, y, z = quaternions.T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def keyframes(poses: Floats) -> tuple[list[int], list[int]]:

@@ -178,11 +178,11 @@ def describe_dataset(directory: Path) -> DatasetEntry:
     return DatasetEntry(
         name,
         base,
-        ", ".join(dict.fromkeys(plan.name for plan in meta.plans)),
-        first.total,
-        meta.planned,
-        "running" if workspace.is_written() else "finished" if meta.complete else "incomplete",
-        f"/pictures/{quote(name, safe='')}?of={version}" if first.total else "",
+        plan=", ".join(dict.fromkeys(plan.name for plan in meta.plans)),
+        episodes=first.total,
+        planned=meta.planned,
+        state="running" if workspace.is_written() else "finished" if meta.complete else "incomplete",
+        picture=f"/pictures/{quote(name, safe='')}?of={version}" if first.total else "",
     )
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from factory.eval.policies.registry import is_user_class
 from factory.eval.policies.remote import RemotePolicy
 from schemas.errors import UsageError
 
@@ -46,6 +47,8 @@ def hashes_of(name: str, policy: object, file: Path | None) -> Hashes:
         return {GREETING: _of_text(policy.metadata)}
     if file is not None:
         return {file.name: _of_file(name, file)}
+    if not is_user_class(name):
+        return {}  # the name of a built-in policy can be that of a module, such as `random`
     hashes = {entry: _of_file(name, path) for entry, path in sorted(_modules(name))}
     named = getattr(policy, "files", ())
     for entry in (named,) if isinstance(named, str | Path) else tuple(named):

@@ -102,7 +102,8 @@ class _PolicyCampaign:
         self._drivers, self._stop, self._tell = drivers, stop, tell
         self._deaths: dict[int, int] = {}
         self._driven: Counter[DriverProcess] = Counter()
-        self._checked: set[DriverProcess] = set()
+        self._checked: dict[DriverProcess, dict[str, str]] = {}
+        """Hashes of the policy that each process reported last, which agree with the stored ones."""
         self._repeatable: tuple[EvalTask, EpisodeResult] | None = None
         """Last episode that was not the first one of its process, with its result."""
 
@@ -205,10 +206,13 @@ class _PolicyCampaign:
         Raises:
             UsageError: it has; the message contains both hashes.
         """
-        note, hashes = self._store.note_of(self._policy), driver.made_from.get(self._policy)
-        if driver in self._checked or note is None or hashes is None:
+        hashes = driver.made_from.get(self._policy)
+        if hashes is None or self._checked.get(driver) is hashes:  # a restarted process reports another dictionary
             return
-        self._checked.add(driver)
+        note = self._store.note_of(self._policy)
+        if note is None:
+            return
+        self._checked[driver] = hashes
         if error := another_policy(self._policy, note.made_from, hashes, self._store.root):
             raise error
 

@@ -84,3 +84,8 @@ def test_restarting_keeps_the_former_results_beside_the_new_ones(tmp_path: Path)
         assert (former / "policy.json").exists()
         assert store.note_of("m:P") is None
         assert store.results("m:P") == []
+
+
+@pytest.mark.parametrize("name", ["random", "stop", "expert"])
+def test_a_built_in_policy_with_the_name_of_a_module_has_no_hashes(name: str) -> None:
+    assert made(name) == {}
