@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections import Counter
 from collections.abc import Callable
@@ -56,7 +57,11 @@ def command() -> None:
 @click.argument("root", metavar="DIR", type=DIRECTORY)
 @_split_option
 @click.option(
-    "--policy", "policies", multiple=True, metavar="POLICY", help="Policy to evaluate, see above; repeatable."
+    "--policy",
+    "policies",
+    multiple=True,
+    metavar="[NAME=]POLICY",
+    help="Policy to evaluate, see above, and its name in the results; repeatable.",
 )
 @click.option(
     "--specs",
@@ -130,10 +135,12 @@ def run(
                  playback (recorded actions of another episode)
       a class:   package.module:Class (see docs/evaluation/README.md)
       a server:  ws://HOST:PORT (openpi's protocol: WebSocket and msgpack)
+    NAME=POLICY gives a policy a name, e.g. act=ws://127.0.0.1:8401.
 
     Writes episodes.parquet, results.json and index.html to --out. The same command continues an interrupted evaluation.
     """
     from factory.eval.order import EvalOptions, make_campaign
+    from factory.eval.results.summary_text import resolution
     from factory.eval.results.text import print_evaluation
     from factory.support.logs import configure_logs
     from factory.support.terminal import print_result
@@ -160,6 +167,9 @@ def run(
     def show(evaluation: Evaluation) -> None:
         print_result(evaluation, as_json, lambda result: print_evaluation(result, all_tables))
 
+    if len(campaign.policies) > 1:
+        comparisons = math.comb(len(campaign.policies), 2)
+        click.echo(f"{resolution(len(campaign.specs.specs), comparisons)}; see `factory eval power`", err=True)
     if restart and out is None:
         raise UsageError("--restart requires -o DIR, the folder of the former results")
     return _evaluate(campaign, access, out, restart=restart, videos=videos, show=show)
@@ -363,8 +373,7 @@ def _print_specs(specs: SpecSet, out: Path) -> None:
 
 
 @command.command("compare")
-@click.argument("first", metavar="A", type=_RESULTS)
-@click.argument("second", metavar="B", type=_RESULTS)
+@click.argument("results", metavar="OUT|A B...", type=_RESULTS, nargs=-1, required=True)
 @click.option(
     "--variant",
     type=click.Choice([str(v) for v in Variant]),
@@ -372,18 +381,87 @@ def _print_specs(specs: SpecSet, out: Path) -> None:
     show_default=True,
     help="Instruction variant to compare.",
 )
+@write_option("DIR", "Folder for the page comparison.html. Default: no page.")
+@click.option(
+    "--dataset",
+    type=DIRECTORY,
+    metavar="DIR",
+    help="Dataset of the evaluations, whose scenes the videos of the page need. Default: a page without videos.",
+)
+@count_option("--videos", 12, "Maximum number of videos for each pair of policies.", least=0)
 @json_option
-def compare(first: Path, second: Path, variant: str, as_json: bool) -> int:
-    """Compare two policies on the episodes that both have run.
+def compare(
+    results: tuple[Path, ...], variant: str, out: Path | None, dataset: Path | None, videos: int, as_json: bool
+) -> int:
+    """Compare policies on the episodes that they share.
 
-    A and B are folders OUT/policies/NAME of `factory eval -o OUT`, e.g. OUT/policies/bc:bc, or OUT if it contains one
-    policy.
+    Each policy is compared with each. OUT is the -o of `factory eval` with several policies. A and B are folders
+    OUT/policies/NAME, e.g. OUT/policies/bc:bc, or OUT if it contains one policy. With more than two policies, tests and intervals are corrected
+    for the number of comparisons.
     """
-    from factory.eval.results import compare as comparison
-    from factory.eval.results.store import read_policy_folder
+    from factory.eval.results.compare import compare_all, require_common
+    from factory.eval.results.publish import COMPARISON_FILE, publish_comparison
+    from factory.eval.results.store import read_policies
     from factory.eval.results.text import print_comparison
-    from factory.support.terminal import print_result
+    from factory.support.terminal import one_bar, print_json
 
-    (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
-    print_result(comparison.compare(ones, others, Variant(variant)), as_json, print_comparison)
+    if dataset is not None and out is None:
+        raise UsageError("--dataset requires -o DIR, the folder of the page")
+    runs, kind = read_policies(results), Variant(variant)
+    if out is None:
+        comparisons = require_common(compare_all([run.results for run in runs], kind), kind)
+    else:
+        with one_bar("videos of different episodes") as on_progress:
+            comparisons = publish_comparison(runs, kind, out, dataset, videos, on_progress)
+    if as_json:
+        data = [comparison.model_dump(mode="json") for comparison in comparisons]
+        print_json(data[0] if len(data) == 1 else {"comparisons": data})
+    else:
+        for comparison in comparisons:
+            print_comparison(comparison)
+    if out is not None:
+        click.echo(f"page: {out / COMPARISON_FILE}", err=True)
+    return 0
+
+
+@command.command("power")
+@count_option("--episodes", None, "Number of episodes that all policies run.")
+@number_option("POINTS", "--points", None, "Difference of two success rates, percentage points.", least=0.1, most=100.0)
+@count_option("--policies", 2, "Number of policies, each compared with each.", least=2)
+@number_option(
+    "PERCENT",
+    "--differ",
+    20.0,
+    "Share of the episodes that exactly one of two policies completes, per cent.",
+    least=1.0,
+    most=100.0,
+)
+@json_option
+def power(episodes: int | None, points: float | None, policies: int, differ: float, as_json: bool) -> int:
+    """Print which difference of success rates some episodes resolve.
+
+    A difference is resolved if the exact McNemar test at 5 % finds it with a probability of 80 %.
+    """
+    from factory.eval.results.estimate import MOST_PAIRS, needed_pairs, resolved_difference
+    from factory.support.terminal import print_json
+
+    if (episodes is None) == (points is None):
+        raise UsageError("give --episodes N for the points that they resolve, or --points D for the episodes needed")
+    comparisons = math.comb(policies, 2)
+    if episodes is not None:
+        least = resolved_difference(episodes, comparisons, differ / 100)
+        points = None if least is None else 100 * least
+    elif points is not None:
+        episodes = needed_pairs(points / 100, comparisons, differ / 100)
+    if as_json:
+        print_json({"episodes": episodes, "points": points, "comparisons": comparisons, "differ": differ})
+    elif points is None:
+        click.echo(f"{episodes} episodes resolve no difference: the test cannot reject with so few")
+    elif episodes is None:
+        click.echo(f"{points:g} points need more than {MOST_PAIRS} episodes")
+    else:
+        click.echo(
+            f"{episodes} episodes resolve {points:.1f} points of SR ({comparisons} comparison"
+            f"{'' if comparisons == 1 else 's'}; the policies end differently in {differ:g} % of the episodes)"
+        )
     return 0

@@ -16,7 +16,7 @@ from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet, read_specs
 from factory.eval.policies.made_from import GREETING, another_policy, hashes_now
-from factory.eval.policies.registry import check_name, file_of, is_user_class, require_available
+from factory.eval.policies.registry import check_name, file_of, is_user_class, named, require_available
 from factory.eval.policies.user_class import source_folder
 from factory.eval.process.local_campaign import Pace
 from factory.eval.results.publish import publish
@@ -92,10 +92,11 @@ def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
     """
     if not options.policies:
         raise UsageError("--policy is missing; example: factory eval DIR --policy expert")
-    for name in options.policies:
-        check_name(name)
+    references = _references(options.policies)
+    for reference in references.values():
+        check_name(reference)
         if drives_here:
-            require_available(name)
+            require_available(reference)
     specs = _specs(Dataset(options.root), options)
     rig = None if options.rig is None else load_rig(options.rig, specs.settings.task.control_hz)
     if rig is not None:
@@ -110,12 +111,27 @@ def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
     return Campaign(
         specs=specs,
         root=options.root,
-        policies=tuple(dict.fromkeys(options.policies)),
+        policies=tuple(references),
+        references=references,
         variants=(Variant.ORIGINAL, *ABLATIONS) if options.ablate_language else (Variant.ORIGINAL,),
         setup=setup,
         processes=min(options.workers or os.cpu_count() or 1, len(specs.specs)),
         with_pose=options.with_pose,
     )
+
+
+def _references(policies: tuple[str, ...]) -> dict[str, str]:
+    """Returns name -> reference of the policies.
+
+    Raises:
+        UsageError: Two policies have one name.
+    """
+    references: dict[str, str] = {}
+    for text in policies:
+        name, reference = named(text)
+        if references.setdefault(name, reference) != reference:
+            raise UsageError(f"--policy {name} is given for {references[name]} and for {reference}; choose two names")
+    return references
 
 
 def _appearance(reference: str | None) -> Appearance | None:
@@ -144,8 +160,15 @@ def require_same_policies(campaign: Campaign, store: Store) -> None:
         note = store.note_of(name)
         if note is None or not store.results(name):
             continue
-        file = file_of(name)
-        folder = source_folder(name) if is_user_class(name) else None if file is None else file.parent
+        former = note.reference or note.policy
+        if former != campaign.reference(name):
+            raise UsageError(
+                f"the results of {name} in {store.root} are those of {former}, not of {campaign.reference(name)}: give "
+                "another name or another -o, or --restart, which keeps the former results in the folder `former`"
+            )
+        reference = campaign.reference(name)
+        file = file_of(reference)
+        folder = source_folder(reference) if is_user_class(reference) else None if file is None else file.parent
         known = {entry: value for entry, value in note.made_from.items() if entry != GREETING}
         if error := another_policy(name, known, hashes_now(known, folder), store.root):
             raise error

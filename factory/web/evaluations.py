@@ -49,6 +49,8 @@ class EvaluationReading:
     """All tables; `None` until the evaluation has ended."""
     policies: tuple[PolicyRun, ...]
     """Policies with results."""
+    folder: Path
+    """Evaluation directory."""
 
     def policy(self, name: str) -> PolicyRun:
         """Returns a policy by name; raises `UsageError` for another name."""
@@ -100,9 +102,9 @@ def _read(folder: Path) -> EvaluationReading:
     policies = []
     for place in folders_in(folder):
         if (place / "episodes.jsonl").stat().st_size:
-            policy, results = read_policy_folder(place)
-            policies.append(PolicyRun(policy, place, tuple(results)))
-    return EvaluationReading(manifest.run, _published(folder / RESULTS_FILE), tuple(policies))
+            run = read_policy_folder(place)
+            policies.append(PolicyRun(run.policy, place, tuple(run.results)))
+    return EvaluationReading(manifest.run, _published(folder / RESULTS_FILE), tuple(policies), folder)
 
 
 def _published(path: Path) -> Evaluation | None:

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import av
+import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
@@ -17,9 +19,10 @@ from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.models.spec import SpecSet
+from factory.eval.order import require_same_policies
 from factory.eval.policies.registry import renders_apart
 from factory.eval.process.local_campaign import run_campaign
-from factory.eval.results.publish import evaluation_of, publish
+from factory.eval.results.publish import evaluation_of, pair_folder, publish
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign, playback_sources
 from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
@@ -247,3 +250,39 @@ def test_a_policy_that_is_edited_after_an_interruption_is_refused(
         store.set_aside("edited_policy:Mine")
         assert run_campaign(whole, store, threading.Event(), lambda _pace: None)
         assert len(store.results("edited_policy:Mine")) == len(specs.specs)
+
+
+def test_a_named_policy_keeps_its_name_and_another_one_of_that_name_is_refused(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    campaign = replace(campaign_of(drives, short(specs.only(None, 1), 3), "mine"), references={"mine": "stop"})
+    assert [row.policy for row in drive(tmp_path, campaign)["mine"]] == ["mine"]
+    with open_store(tmp_path, campaign) as store:
+        note = store.note_of("mine")
+        assert note is not None
+        assert (note.policy, note.reference, note.reads_instruction) == ("mine", "stop", False)
+        require_same_policies(campaign, store)
+        with pytest.raises(UsageError, match="are those of stop, not of random: give another name"):
+            require_same_policies(replace(campaign, references={"mine": "random"}), store)
+
+
+def test_episodes_that_one_policy_completes_are_filmed_with_both_policies(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    campaign = campaign_of(drives, specs.only(frozenset({Split.TEST_ID}), 1), "expert", "stop")
+    drive(tmp_path, campaign)
+    with open_store(tmp_path, campaign) as store:
+        evaluation = publish(campaign, store, videos=1)
+    (comparison,) = evaluation.comparisons
+    assert (comparison.only_first, comparison.pairs) == (1, 1)
+    folder = pair_folder(tmp_path, "expert", "stop")
+    with av.open(str(folder / f"{campaign.specs.specs[0].spec_id}.mp4")) as film:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert {picture.shape for picture in pictures} == {(648, 640, 3)}
+    first, last = (picture.astype(int) for picture in (pictures[0], pictures[-1]))
+    above, below = slice(0, 320), slice(328, 648)
+    assert np.abs(first[above, :320] - first[below, :320]).mean() < 3  # both start at one pose
+    assert np.abs(last[below, :320] - first[below, :320]).mean() < 3  # the motionless policy sees the start
+    assert np.abs(last[above, :320] - first[above, :320]).mean() > 10
+    assert "expert succeeds" not in (tmp_path / "index.html").read_text()  # one episode shows nothing
+    assert "No difference between expert and stop is shown in 1 episode" in (tmp_path / "index.html").read_text()

@@ -18,7 +18,9 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 def reports_on(policy: str, tmp_path: Path) -> list[SimulationReport]:
     """Runs an evaluation process with one task and returns its reports."""
     request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
-    task = EvalTask(number=1, policy=policy, request=request, setup=EvalSetup(settings=EvalSettings()))
+    task = EvalTask(
+        number=1, policy=policy, reference=policy, request=request, setup=EvalSetup(settings=EvalSettings())
+    )
     order = SimulationOrder(
         job=job_for(1),
         scene_path=tmp_path / "no.scene",
@@ -64,7 +66,7 @@ def test_a_driver_process_is_replaced_when_the_settings_change(tmp_path: Path) -
     def process_for(act_timeout_s: float) -> int | None:
         setup = EvalSetup(settings=EvalSettings(), act_timeout_s=act_timeout_s)
         request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
-        task = EvalTask(number=1, policy="stop", request=request, setup=setup)
+        task = EvalTask(number=1, policy="stop", reference="stop", request=request, setup=setup)
         driver.send(DriverOrder(task=task, package=package))
         while (heard := driver.poll(60.0)) is None:
             pass

@@ -12,7 +12,7 @@ import pytest
 
 from factory.eval.models.result import EvalEnd
 from factory.eval.policies.registry import PolicyNote
-from factory.eval.results.page import FailureExample, write_page
+from factory.eval.results.page import EpisodeFilm, write_page
 from factory.eval.results.score import score_policy
 from factory.eval.results.video import draw_poster
 from factory.report import render_report
@@ -57,9 +57,9 @@ def write_evaluation(folder: Path) -> str:
     policies = (*evaluation.policies, score_policy("m:P", [raised], note))
     pictures = [np.full((320, 640, 3), 6 * n, np.uint8) for n in range(36)]
     write_mp4(folder / "film.mp4", pictures, Fraction(8), 28)
-    failed = FailureExample(raised, (folder / "film.mp4").read_bytes(), draw_poster(pictures[-1]))
+    failed = EpisodeFilm((raised,), (folder / "film.mp4").read_bytes(), draw_poster(pictures[-1]))
     partial = evaluation.model_copy(update={"policies": policies, "complete": False})
-    return write_page(partial, {"expert": [failed], _LONG: [failed] * 3})
+    return write_page(partial, {("expert",): [failed], (_LONG,): [failed] * 3})
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.parse import urlencode
 
 import numpy as np
 import pyarrow as pa
@@ -25,6 +26,7 @@ from factory.dataset.reader import Dataset
 from factory.dataset.rendering import shared_renderer
 from factory.eval.models.result import Variant
 from factory.eval.results.compare import compare
+from factory.eval.results.publish import pair_folder
 from factory.relabel.part import STEPS_SCHEMA
 from factory.web.pages.episodes import prepare_scenes
 from schemas.language.route.meaning import RouteStep
@@ -103,6 +105,24 @@ def test_a_page_compares_two_policies_with_the_numbers_of_the_command(client):
     assert "no policy &#39;other&#39;" in client.ask("/evaluations/results?first=other&second=stop").text
     assert client.ask("/evaluations/results?first=stop&second=stop&variant=odd").status == 400
     assert "no evaluation is named &#39;result&#39;; did you mean" in client.ask("/evaluations/result").text
+
+
+def test_a_comparison_shows_the_films_of_episodes_that_one_policy_completed(data, evaluation):
+    first, second = POLICIES
+    folder = pair_folder(evaluation, first, second)
+    folder.mkdir(parents=True)
+    for number in (1, 2):
+        (folder / f"ep_{number:06d}.mp4").write_bytes(b"film of a pair")
+        (folder / f"ep_{number:06d}.jpg").write_bytes(b"picture")
+    with web_page(data, evaluations=(evaluation,)) as client:
+        for order in (POLICIES, POLICIES[::-1]):
+            page = client.ask("/evaluations/results?" + urlencode({"first": order[0], "second": order[1]})).text
+            films = re.findall(r'src="([^"]+/pairs/[^"]+\.mp4)"', page)
+            assert [film.rpartition("/")[2] for film in films] == ["ep_000002.mp4"]  # in episode 1, both failed
+            assert client.ask(films[0]).body == b"film of a pair"
+            assert "No difference between" in page
+        for name in ("0/1/..%2f..%2fresults.json", "0/7/ep_000002.mp4", "0/0/ep_000002.mp4", "0/1/ep_000001.json"):
+            assert client.ask(f"/evaluations/results/pairs/{name}").status == 404
 
 
 def test_a_damaged_evaluation_is_named_and_the_other_one_is_shown(data, evaluation, tmp_path):

@@ -65,6 +65,9 @@ class EvalTask(Model):
     number: Annotated[int, Field(ge=1)]
     """Number of the task in the campaign, from 1. With remote workers, the job of the task has this index."""
     policy: str
+    """Name of the policy in the results."""
+    reference: str
+    """What the policy is: a built-in policy, a class or a server; equal to the name if none was given."""
     request: EvalRequest
     setup: EvalSetup
     actions: Actions | None = None

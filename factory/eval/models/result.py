@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Annotated
 
 from pydantic import Field
@@ -107,3 +110,31 @@ class EpisodeResult(Model):
     def is_grounded(self) -> bool:
         """Returns whether at least two categories were in view at the start, so the instruction was needed."""
         return self.categories_in_view >= 2
+
+
+MEANS: Mapping[str, str] = MappingProxyType(
+    {
+        "ne_m": "final_ne_m",
+        "ne_centroid_m": "final_centroid_m",
+        "ne_surface_m": "final_surface_m",
+        "trajectory_length_m": "trajectory_length_m",
+        "spl": "spl",
+        "soft_spl": "soft_spl",
+        "progress_final": "progress_final",
+        "progress_max": "progress_max",
+        "progress_normalised": "progress_normalised",
+        "num_steps": "num_steps",
+    }
+)
+"""Measure in tables -> field of `EpisodeResult`."""
+BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        **dict.fromkeys(("spl", "soft_spl", "progress_max", "progress_normalised"), (0.0, 1.0)),
+        **dict.fromkeys(("ne_m", "ne_centroid_m", "ne_surface_m", "trajectory_length_m", "num_steps"), (0.0, math.inf)),
+    }
+)
+"""Smallest and largest value of the measures that have bounds."""
+DIFFERENCE_BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {name: (low - high, high - low) for name, (low, high) in BOUNDS.items() if math.isfinite(high)}
+)
+"""Smallest and largest value of paired differences of these measures."""

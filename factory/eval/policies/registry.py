@@ -5,6 +5,7 @@ Runs no episodes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +15,7 @@ from pydantic import Field
 
 from factory.eval.driving.live_view import live_arrays, shows_recorded_camera
 from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy, needs_of
-from factory.eval.models.messages import PolicyLimits
+from factory.eval.models.messages import EvalTask, PolicyLimits
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import ExpertPolicy, PlaybackPolicy, RandomPolicy, ReplayPolicy, StopPolicy
@@ -33,6 +34,8 @@ class PolicyNote(Model):
     """Metadata stored next to the results of a policy."""
 
     policy: str
+    reference: str = Field(default="", exclude_if=lambda it: not it)
+    """What a policy with a separate name refers to, such as `ws://HOST:PORT`; empty and omitted without a name."""
     knows: str
     reads_instruction: bool
     renderer: str
@@ -45,12 +48,13 @@ class PolicyNote(Model):
     differ, or if none was repeated."""
 
 
-def note_of(policy: str, knows: str, renderer: str, made_from: dict[str, str]) -> PolicyNote:
-    """Returns the metadata of a policy that was created on this machine."""
+def note_of(task: EvalTask, knows: str, renderer: str, made_from: dict[str, str]) -> PolicyNote:
+    """Returns the metadata of the policy of a task, which was created on this machine."""
     return PolicyNote(
-        policy=policy,
+        policy=task.policy,
+        reference="" if task.reference == task.policy else task.reference,
         knows=knows,
-        reads_instruction=find_policy(policy).reads_instruction,
+        reads_instruction=find_policy(task.reference).reads_instruction,
         renderer=renderer,
         software=software_versions(),
         made_from=made_from,
@@ -66,6 +70,7 @@ __all__ = [
     "find_policy",
     "is_user_class",
     "make_policy",
+    "named",
     "renders_apart",
     "require_available",
     "require_inputs",
@@ -74,6 +79,8 @@ __all__ = [
 PolicyFactory = Callable[[str, PolicyLimits], Policy]
 """Creates a policy from the text after the first colon of its name and the time limits."""
 _WIRE = ("websockets", "msgpack")
+_NAMED = re.compile(r"([A-Za-z0-9][\w .+-]{0,59})=(.+)", re.ASCII)
+"""`NAME=REFERENCE`; no reference begins like this, because a colon is before any `=` in it."""
 
 
 class PolicyEntry(NamedTuple):
@@ -135,8 +142,23 @@ _USER_CLASS = PolicyEntry(
 )
 
 
+def named(text: str) -> tuple[str, str]:
+    """Returns name and reference of a value of `--policy`, which is `NAME=REFERENCE`, or a reference that is the name.
+
+    Raises:
+        UsageError: The name is that of a built-in policy, so tables would be misread.
+    """
+    match = _NAMED.fullmatch(text)
+    if match is None:
+        return text, text
+    name, reference = match.groups()
+    if name in POLICIES and reference != name:
+        raise UsageError(f"--policy {text}: {name} is a built-in policy; choose another name for {reference}")
+    return name, reference
+
+
 def find_policy(name: str) -> PolicyEntry:
-    """Returns the registry entry of a policy name; creates no policy.
+    """Returns the registry entry of a policy reference; creates no policy.
 
     Raises:
         UsageError: The name is not valid.

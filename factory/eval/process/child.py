@@ -84,7 +84,7 @@ class _Driver:
     ) -> None:
         self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
         self._status = StatusWriter(shared)
-        self._name = ""
+        self._reference = ""
         self._policy: Policy | None = None
 
     def wait(self, lines: queue.Queue[bytes]) -> bytes:
@@ -126,20 +126,21 @@ class _Driver:
         return result
 
     def _policy_of(self, order: DriverOrder) -> Policy:
-        name = order.task.policy
-        if self._policy is None or name != self._name:
+        reference = order.task.reference
+        if self._policy is None or reference != self._reference:
             self._status.begin(Activity.MAKING)
             close = getattr(self._policy, "close", None)
             if callable(close):
                 with contextlib.suppress(Exception):
                     close()
-            self._policy, self._name = None, name
-            policy = make_policy(name, self._setup, order.policy_file)
-            require_inputs(name, policy, self._setup.view.rig, self._setup.settings.camera)
+            self._policy, self._reference = None, reference
+            policy = make_policy(reference, self._setup, order.policy_file)
+            file = order.policy_file or file_of(reference)
+            require_inputs(reference, policy, self._setup.view.rig, self._setup.settings.camera)
             self._policy = policy
             self._status.is_warm = False
             self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
-            knows, hashes = describe_knowledge(policy), hashes_of(name, policy, order.policy_file or file_of(name))
+            knows, hashes = describe_knowledge(policy), hashes_of(reference, policy, file)
             self._tell(EvalReport(kind=EvalReportKind.POLICY, number=order.task.number, detail=knows, made_from=hashes))
         return self._policy
 

@@ -86,7 +86,7 @@ class DriverProcess:
         if task.setup != self._setup:
             self.kill()
             self._setup, self.made, self.made_from = task.setup, {}, {}
-        if renders_apart(task.policy) and not self._renders_apart:
+        if renders_apart(task.reference) and not self._renders_apart:
             self.kill()
             self._renders_apart = True
         if not self._process.is_started:
@@ -148,7 +148,7 @@ class DriverProcess:
 
     @property
     def _is_remote(self) -> bool:
-        return self.current is not None and self.current.policy.startswith(("ws:", "wss:"))
+        return self.current is not None and self.current.reference.startswith(("ws:", "wss:"))
 
     def _end_of(self, end: Ended) -> DriverEnded:
         assert self._status is not None

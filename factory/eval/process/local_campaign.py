@@ -154,7 +154,7 @@ class _PolicyCampaign:
         The built-in policies without a network keep no state, and the state of a server is out of reach.
         """
         note = self._store.note_of(self._policy)
-        if self._repeatable is None or not renders_apart(self._policy) or note is None:
+        if self._repeatable is None or not renders_apart(self._campaign.reference(self._policy)) or note is None:
             return
         (task, former), driver = self._repeatable, self._drivers[0]
         driver.kill()
@@ -224,5 +224,5 @@ class _PolicyCampaign:
         driver = self._made()
         if driver is not None and self._store.note_of(self._policy) is None:
             hashes = driver.made_from.get(self._policy, {})
-            self._store.note(note_of(self._policy, driver.made[self._policy], driver.renderer, hashes))
+            self._store.note(note_of(self._tasks[0], driver.made[self._policy], driver.renderer, hashes))
         self._store.add(result)

@@ -65,9 +65,9 @@ class _EvalWorker:
     def serve(self, order: SimulationOrder) -> None:
         started, driver = time.monotonic(), self._driver
         task = EvalTask.model_validate_json(order.eval_task or "")
-        if is_user_class(task.policy) and not self._may_import:
+        if is_user_class(task.reference) and not self._may_import:
             # the name came over the network, and importing it would execute arbitrary code
-            self.tell(failure(FailReason.CRASH, f"policy {task.policy}: {_NO_IMPORTS}"))
+            self.tell(failure(FailReason.CRASH, f"policy {task.reference}: {_NO_IMPORTS}"))
             return
         setup = task.setup.model_copy(update={"renderer": self._renderer})
         task = task.model_copy(update={"setup": setup})
@@ -79,7 +79,7 @@ class _EvalWorker:
             self.tell(result)
         else:
             hashes = driver.made_from.get(task.policy, {})
-            note = note_of(task.policy, driver.made[task.policy], driver.renderer, hashes)
+            note = note_of(task, driver.made[task.policy], driver.renderer, hashes)
             self.tell(_seal(ResultBundle(result=result, note=note), order.bundle_path, time.monotonic() - started))
 
     def _wait(self) -> Outcome | DriverEnded:

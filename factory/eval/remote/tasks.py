@@ -62,7 +62,7 @@ def attachments_of(campaign: Campaign) -> Attached:
     """
     attached: dict[str, tuple[Attachment, Path]] = {}
     for policy in campaign.policies:
-        path = file_of(policy)
+        path = file_of(campaign.reference(policy))
         if path is not None:
             size = path.stat().st_size
             if not 0 < size <= MAX_ATTACHMENT_BYTES:
@@ -107,7 +107,7 @@ def planned_of(task: EvalTask) -> PlannedJob:
 def _digest(campaign: Campaign, tasks: Mapping[int, EvalTask], attached: Attached) -> str:
     digest = hashlib.sha256(canonical_json(campaign.setup).encode())
     for task in tasks.values():
-        digest.update(f"{task.policy}\n{canonical_json(task.request)}\n".encode())
+        digest.update(f"{task.policy}\n{task.reference}\n{canonical_json(task.request)}\n".encode())
     for policy, (attachment, _) in attached.items():
         digest.update(f"{policy}\n{attachment.sha256}\n".encode())
     return digest.hexdigest()[:16]

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
+import numpy as np
 import scipy  # imports `scipy.stats` at its first use, which takes a second
 from pydantic import Field
 
@@ -25,6 +26,12 @@ _PRIOR = 2.0
 _STEPS = 60
 """Number of bisections, which find an end of an interval to 1e-18."""
 SIGNIFICANT_P = 1.0 - CONFIDENCE
+POWER = 0.8
+"""Probability with which a difference shall be found."""
+DIFFER = 0.2
+"""Assumed share of the episodes in which two policies end differently."""
+MOST_PAIRS = 100_000
+"""Largest number of episodes that is searched for a difference."""
 
 Bounds = tuple[float, float]
 
@@ -104,7 +111,7 @@ def means_of(
     return {name: mean_of(column, known.get(name)) for name, column in columns.items()}
 
 
-def difference_of_shares(only_first: int, only_second: int, pairs: int) -> IntervalEstimate:
+def difference_of_shares(only_first: int, only_second: int, pairs: int, comparisons: int = 1) -> IntervalEstimate:
     """Returns the share of successes of the second run minus that of the first, over the same episodes.
 
     The interval is the score interval of T. Tango (1998). It is extended to 0 if the exact McNemar test does not reject
@@ -114,14 +121,15 @@ def difference_of_shares(only_first: int, only_second: int, pairs: int) -> Inter
         only_first: number of pairs in which only the first run succeeded.
         only_second: number of pairs in which only the second run succeeded.
         pairs: number of pairs.
+        comparisons: number of comparisons whose intervals shall all be true with 95 % (Bonferroni).
     """
     if pairs == 0:
         return NO_VALUES
     mean = (only_second - only_first) / pairs
-    z = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2))
+    z = float(scipy.stats.norm.isf(SIGNIFICANT_P / comparisons / 2))
     low = -_tango_end(only_first, only_second, pairs, z)
     high = _tango_end(only_second, only_first, pairs, z)
-    if mcnemar_p(only_first, only_second) >= SIGNIFICANT_P:
+    if mcnemar_p(only_first, only_second, comparisons) >= SIGNIFICANT_P:
         low, high = min(low, 0.0), max(high, 0.0)
     return IntervalEstimate(n=pairs, mean=mean, low=low, high=high)
 
@@ -149,12 +157,72 @@ def _tango_z(more: int, less: int, pairs: int, difference: float) -> float:
     )
 
 
-def mcnemar_p(only_first: int, only_second: int) -> float:
-    """Returns the two-sided p of the exact McNemar test (Q. McNemar, 1947).
+def mcnemar_p(only_first: int, only_second: int, comparisons: int = 1) -> float:
+    """Returns the two-sided p of the exact McNemar test (Q. McNemar, 1947), times the number of comparisons.
 
     Args:
         only_first: Number of pairs in which only the first run succeeded.
         only_second: Number of pairs in which only the second run succeeded.
+        comparisons: Number of comparisons that are made (Bonferroni).
     """
     discordant = only_first + only_second
-    return 1.0 if discordant == 0 else float(scipy.stats.binomtest(only_first, discordant, 0.5).pvalue)
+    if discordant == 0:
+        return 1.0
+    return min(1.0, comparisons * float(scipy.stats.binomtest(only_first, discordant, 0.5).pvalue))
+
+
+def power(pairs: int, difference: float, comparisons: int = 1, differ: float = DIFFER) -> float:
+    """Returns the probability that the exact McNemar test rejects equality of two policies.
+
+    Args:
+        pairs: number of episodes that both policies run.
+        difference: true difference of the success rates, a fraction.
+        comparisons: number of comparisons that are made (Bonferroni).
+        differ: share of the episodes that exactly one of the policies succeeds in; at least `difference`.
+    """
+    differ = max(differ, difference)
+    half = 8.0 * math.sqrt(pairs * differ * (1.0 - differ)) + 1.0  # beyond it is less than 1e-14
+    counts = np.arange(max(0, int(pairs * differ - half)), min(pairs, int(pairs * differ + half)) + 1)
+    likely = scipy.stats.binom.pmf(counts, pairs, differ)
+    # the most successes of the worse policy for which the test rejects; -1 if it rejects for no count
+    most = scipy.stats.binom.ppf(SIGNIFICANT_P / comparisons / 2, counts, 0.5)
+    most -= scipy.stats.binom.cdf(most, counts, 0.5) * 2 * comparisons >= SIGNIFICANT_P
+    worse = 0.5 - difference / differ / 2
+    rejects = scipy.stats.binom.cdf(most, counts, worse) + scipy.stats.binom.cdf(most, counts, 1.0 - worse)
+    return float(likely @ rejects)
+
+
+def resolved_difference(pairs: int, comparisons: int = 1, differ: float = DIFFER) -> float | None:
+    """Returns the smallest difference of two success rates with a power of 80 %; `None` if there is none.
+
+    Args:
+        pairs: number of episodes that both policies run.
+        comparisons: number of comparisons that are made (Bonferroni).
+        differ: share of the episodes that exactly one of the policies succeeds in.
+    """
+    low, high = 0.0, 1.0
+    if power(pairs, high, comparisons, differ) < POWER:
+        return None
+    while high - low > 1e-4:
+        middle = (low + high) / 2
+        low, high = (low, middle) if power(pairs, middle, comparisons, differ) >= POWER else (middle, high)
+    return high
+
+
+def needed_pairs(difference: float, comparisons: int = 1, differ: float = DIFFER) -> int | None:
+    """Returns the number of episodes that resolve a difference; `None` if it is more than 100,000.
+
+    The power of an exact test does not increase with each episode, so a few episodes fewer can have it, too.
+
+    Args:
+        difference: true difference of the success rates, a fraction.
+        comparisons: number of comparisons that are made (Bonferroni).
+        differ: share of the episodes that exactly one of the policies succeeds in.
+    """
+    low, high = 0, MOST_PAIRS
+    if power(high, difference, comparisons, differ) < POWER:
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if power(middle, difference, comparisons, differ) >= POWER else (middle, high)
+    return high

@@ -11,8 +11,10 @@ from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.eval.results.summary_text import (
     ABLATION_HEAD,
+    ASSUMED,
     INTERVALS,
     ablation_rows,
+    conclusion,
     describe_ends,
     fault_lines,
     policies_without_instruction,
@@ -41,11 +43,15 @@ _MAIN_HEAD = ("SR, %", "SPL", "NE, m", "collision, %", "n")
 _DASH = "–"
 
 
-@dataclass(frozen=True)
-class FailureExample:
-    """Failed episode with its video (MP4) and the last picture of the video (JPEG)."""
+Names = tuple[str, ...]
+"""Names of one policy, whose failures are shown, or of two, whose different episodes are shown."""
 
-    row: EpisodeResult
+
+@dataclass(frozen=True)
+class EpisodeFilm:
+    """Episode of one policy, or of two, with its video (MP4) and the last picture of the video (JPEG)."""
+
+    rows: tuple[EpisodeResult, ...]
     film: bytes
     poster: bytes
 
@@ -72,15 +78,15 @@ class MeasureTable:
     note: str = ""
 
 
-def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureExample]]) -> str:
+def write_page(evaluation: Evaluation, shown: Mapping[Names, Sequence[EpisodeFilm]]) -> str:
     """Returns the evaluation page as HTML.
 
     Args:
         evaluation: All tables.
-        failures: Policy name -> failures to show.
+        shown: Videos to show: failures of each policy, and different episodes of each pair of policies.
     """
     policies = evaluation.policies
-    films = [(policy, failures[policy.policy]) for policy in policies if failures.get(policy.policy)]
+    films = [(policy, shown[(policy.policy,)]) for policy in policies if shown.get((policy.policy,))]
     return render(
         "evaluation.html",
         title=f"{evaluation.run}: evaluation",
@@ -90,6 +96,7 @@ def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureEx
         digest=("specs digest", evaluation.specs_digest),
         contents=[
             ("overview", "Main metrics"),
+            *([("comparison", "Comparison")] if evaluation.comparisons else ()),
             ("measures", "All measures"),
             *((f"failures_{place}", f"Failures of {policy.policy}") for place, (policy, _) in enumerate(films, 1)),
             ("method", "Method"),
@@ -98,13 +105,56 @@ def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureEx
         intervals=INTERVALS,
         main={
             "head": _MAIN_HEAD,
-            "rows": [(policy.policy, policy.knows, _main_cells(policy.overall)) for policy in policies],
+            "rows": [(policy.policy, policy.described, _main_cells(policy.overall)) for policy in policies],
         },
+        comparisons=_sections(evaluation.comparisons, shown),
+        assumed=ASSUMED,
         faults=[line for policy in policies for line in fault_lines(policy)],
         ends=[(policy.policy, describe_ends(policy)) for policy in policies],
         tables=list(tables_of(policies)),
-        films=[(policy.policy, _failed(policy), [_film(failure) for failure in shown]) for policy, shown in films],
+        films=[(policy.policy, _failed(policy), [_failure(film) for film in some]) for policy, some in films],
     )
+
+
+def write_comparison_page(comparisons: Sequence[PairedComparison], shown: Mapping[Names, Sequence[EpisodeFilm]]) -> str:
+    """Returns the page of comparisons as HTML.
+
+    Args:
+        comparisons: Comparisons, at least one.
+        shown: Videos of different episodes of each pair of policies.
+    """
+    names = list(dict.fromkeys(name for entry in comparisons for name in (entry.first, entry.second)))
+    return render(
+        "comparison.html",
+        title="Comparison of policies",
+        kicker="Comparison of policies",
+        run=", ".join(names),
+        badges=[
+            _count(len(names), "policy", "policies"),
+            f"{comparisons[0].variant} instruction",
+            _count(max(entry.pairs for entry in comparisons), "episode"),
+        ],
+        digest=None,
+        contents=[("comparison", "Comparison"), ("method", "Method")],
+        comparisons=_sections(comparisons, shown),
+        assumed=ASSUMED,
+        intervals=INTERVALS,
+    )
+
+
+def _sections(
+    comparisons: Sequence[PairedComparison], shown: Mapping[Names, Sequence[EpisodeFilm]]
+) -> list[dict[str, object]]:
+    return [
+        {
+            "pair": entry,
+            "conclusion": conclusion(entry),
+            "table": comparison_table(entry),
+            "different": entry.only_first + entry.only_second,
+            "films": [_different(film) for film in shown.get((entry.first, entry.second), ())],
+        }
+        for entry in comparisons
+    ]
 
 
 def _badges(evaluation: Evaluation) -> Iterator[str]:
@@ -185,8 +235,19 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
         )
 
 
-def _film(failure: FailureExample) -> dict[str, object]:
-    row = failure.row
+def _different(film: EpisodeFilm) -> dict[str, object]:
+    row = film.rows[0]
+    return {
+        "row": row,
+        "facts": f"{row.scene}, {row.tier}, {row.split}; {row.target_id}",
+        "ends": [f"{one.policy}: {one.end}, NE {one.final_ne_m:.2f} m, {one.num_steps} steps" for one in film.rows],
+        "source": data_uri("video/mp4", film.film),
+        "poster": data_uri("image/jpeg", film.poster),
+    }
+
+
+def _failure(failure: EpisodeFilm) -> dict[str, object]:
+    (row,) = failure.rows
     facts = f"{row.scene}, {row.tier}, {row.split}; {row.target_id}; NE {row.final_ne_m:.2f} m, {row.num_steps} steps"
     return {
         "row": row,

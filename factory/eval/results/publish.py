@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.models.spec import SpecSet
+from factory.eval.results.compare import PairedComparison, choose_different, compare_all, pairs_of, require_common
 from factory.eval.results.estimate import FEW
-from factory.eval.results.page import FailureExample, write_page
+from factory.eval.results.page import EpisodeFilm, Names, write_comparison_page, write_page
 from factory.eval.results.score import Evaluation, score_policy
-from factory.eval.results.store import Store
-from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_poster
+from factory.eval.results.store import PolicyResults, Store, folder_name
+from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_pair, draw_poster
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import LoadedScenes
 from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
 from schemas.storage.disk import replacing
+from schemas.terms import RendererKind
 from schemas.view import ViewSettings
 from workers.sim.context import SimulationContext
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
+COMPARISON_FILE = "comparison.html"
 VIDEOS = "videos"
 """Name of the folder of videos in the folder of a policy. A video is `SPEC.mp4`; `SPEC.jpg` is its last picture."""
 
@@ -38,7 +44,7 @@ def publish(
     Args:
         campaign: Evaluated campaign.
         store: Store of the finished episodes.
-        videos: Number of failures of each policy to show on the page.
+        videos: Number of failures of each policy, and of different episodes of each pair, to show on the page.
         tell: Progress callback of the videos.
 
     Raises:
@@ -49,44 +55,124 @@ def publish(
     rows = [row for name in campaign.policies for row in store.results(name)]
     with replacing(store.root / TABLE_FILE) as part:
         pq.write_table(pa.Table.from_pylist([_flat(row) for row in rows]), part)
-    page = write_page(evaluation, _failures(campaign, store, videos, tell))
-    _write(store.root / PAGE_FILE, page.encode())
+    results = {name: store.results(name) for name in campaign.policies}
+    wanted = _failures(campaign, store, videos) | _different(evaluation.comparisons, results, store.root, videos)
+    films = _filmed(wanted, campaign.specs, campaign.root, campaign.setup.renderer, tell)
+    _write(store.root / PAGE_FILE, write_page(evaluation, films).encode())
     return evaluation
 
 
-def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallback) -> dict[str, list[FailureExample]]:
-    """Returns policy name -> failed episodes with their videos; draws a video only if its file does not exist."""
-    chosen = {
-        name: choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
-        for name in campaign.policies
+def publish_comparison(
+    runs: Sequence[PolicyResults],
+    variant: Variant,
+    out: Path,
+    dataset: Path | None,
+    videos: int,
+    tell: ProgressCallback,
+) -> list[PairedComparison]:
+    """Writes the page of comparisons of policies and returns the comparisons.
+
+    Args:
+        runs: Results of two or more policies.
+        variant: Variant of the instruction.
+        out: Folder of the page.
+        dataset: Dataset with the scenes of the videos; `None` for a page without videos.
+        videos: Number of videos of each pair of policies.
+        tell: Progress callback of the videos.
+
+    Raises:
+        UsageError: No two policies have run a common episode.
+        WorldError: The folder cannot be written, or the dataset has not the scenes.
+    """
+    results = {run.policy: run.results for run in runs}
+    comparisons = require_common(compare_all([run.results for run in runs], variant), variant)
+    films: dict[Names, list[EpisodeFilm]] = {}
+    out.mkdir(parents=True, exist_ok=True)
+    if dataset is not None:
+        wanted = _different(comparisons, results, out, videos)
+        films = _filmed(wanted, runs[0].specs, dataset, "auto", tell)
+    _write(out / COMPARISON_FILE, write_comparison_page(comparisons, films).encode())
+    return comparisons
+
+
+def _failures(campaign: Campaign, store: Store, videos: int) -> dict[Names, list[_Film]]:
+    """Returns the videos of failures of each policy."""
+    chosen: dict[Names, list[_Film]] = {}
+    for name in campaign.policies:
+        rows = choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
+        chosen[(name,)] = [_Film((row,), store.folder(name) / VIDEOS) for row in rows]
+    return chosen
+
+
+def _different(
+    comparisons: Sequence[PairedComparison], results: Mapping[str, Sequence[EpisodeResult]], root: Path, videos: int
+) -> dict[Names, list[_Film]]:
+    """Returns the videos of episodes in which one policy of a pair succeeded."""
+    chosen: dict[Names, list[_Film]] = {}
+    for comparison in comparisons:
+        first, second = comparison.first, comparison.second
+        pairs = pairs_of(results[first], results[second], comparison.variant)
+        folder = pair_folder(root, first, second)
+        chosen[first, second] = [_Film(pair, folder) for pair in choose_different(pairs, videos)]
+    return chosen
+
+
+def pair_folder(root: Path, first: str, second: str) -> Path:
+    """Returns the folder of the videos of a pair of policies."""
+    return root / "comparisons" / f"{folder_name(first)}+{folder_name(second)}"
+
+
+class _Film(NamedTuple):
+    """Video to draw."""
+
+    rows: tuple[EpisodeResult, ...]
+    """Results of one episode, of one policy or of two."""
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        return self.folder / f"{self.rows[0].spec_id}.mp4"
+
+
+def _filmed(
+    wanted: Mapping[Names, Sequence[_Film]],
+    specs: SpecSet,
+    root: Path,
+    renderer: RendererKind,
+    tell: ProgressCallback,
+) -> dict[Names, list[EpisodeFilm]]:
+    """Returns the videos; draws a video only if its file does not exist."""
+    films = [film for films in wanted.values() for film in films]
+    shas = {spec.scene: spec.scene_sha256 for spec in specs.specs}
+    task, camera, places = specs.settings.task, specs.settings.camera, LoadedScenes(root)
+    with ExitStack() as stack:
+        stage: SimulationContext | None = None
+        for number, film in enumerate(films, 1):
+            poster = film.path.with_suffix(".jpg")
+            if not (film.path.exists() and poster.exists()):
+                stage = stage or stack.enter_context(SimulationContext(renderer))
+                row = film.rows[0]
+                scene = places.load(row.scene, shas[row.scene]).compiled
+                if len(film.rows) == 1:
+                    pictures = list(draw_frames(row, scene, task, stage.renderer, camera))
+                else:
+                    pictures = list(draw_pair((row, film.rows[1]), scene, task, stage.renderer, camera))
+                film.folder.mkdir(parents=True, exist_ok=True)
+                _write(poster, draw_poster(pictures[-1]))
+                write_mp4(film.path, pictures, FILM_RATE, FILM_CRF)
+            tell(number, len(films))
+    return {
+        names: [
+            EpisodeFilm(film.rows, film.path.read_bytes(), film.path.with_suffix(".jpg").read_bytes()) for film in films
+        ]
+        for names, films in wanted.items()
     }
-    total = sum(len(rows) for rows in chosen.values())
-    if total == 0:
-        return {}
-    shas = {spec.scene: spec.scene_sha256 for spec in campaign.specs.specs}
-    settings, places = campaign.specs.settings, LoadedScenes(campaign.root)
-    failures: dict[str, list[FailureExample]] = {name: [] for name in chosen}
-    with SimulationContext(campaign.setup.renderer) as stage:
-        for name, rows in chosen.items():
-            folder = store.folder(name) / VIDEOS
-            folder.mkdir(exist_ok=True)
-            for row in rows:
-                film, poster = folder / f"{row.spec_id}.mp4", folder / f"{row.spec_id}.jpg"
-                if not (film.exists() and poster.exists()):
-                    scene = places.load(row.scene, shas[row.scene]).compiled
-                    pictures = list(
-                        draw_frames(row, scene, task=settings.task, renderer=stage.renderer, camera=settings.camera)
-                    )
-                    _write(poster, draw_poster(pictures[-1]))
-                    write_mp4(film, pictures, FILM_RATE, FILM_CRF)
-                failures[name].append(FailureExample(row, film.read_bytes(), poster.read_bytes()))
-                tell(sum(map(len, failures.values())), total)
-    return failures
 
 
 def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
     """Returns the tables of the finished episodes."""
     scores = []
+    runs = []
     is_complete = True
     for name in campaign.policies:
         results = [row for row in store.results(name) if row.variant in campaign.variants]
@@ -96,6 +182,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
         is_complete = is_complete and len(results) >= expected
         scores.append(score_policy(name, results, note))
+        runs.append(results)
     return Evaluation(
         run=campaign.specs.run,
         source=campaign.specs.source,
@@ -106,6 +193,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         view=campaign.setup.view,
         complete=is_complete,
         policies=tuple(scores),
+        comparisons=tuple(compare_all(runs)),
         remarks=(*_order_dependences(campaign, store), *_remarks(campaign)),
     )
 

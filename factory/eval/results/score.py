@@ -5,7 +5,6 @@ Pure functions.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -13,9 +12,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
+from factory.eval.models.result import BOUNDS, MEANS, RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
 from factory.eval.policies.registry import PolicyNote
-from factory.eval.results.estimate import NO_VALUES, Bounds, IntervalEstimate, difference_of_shares, mcnemar_p, means_of
+from factory.eval.results.compare import PairedComparison
+from factory.eval.results.estimate import NO_VALUES, IntervalEstimate, difference_of_shares, mcnemar_p, means_of
 from factory.stats.measures import share_of
 from factory.stats.statistics import Share
 from schemas.base import Fraction, Model, Name, Sha256
@@ -72,32 +72,6 @@ GROUPS: Mapping[str, str] = MappingProxyType(
 )
 """Kind of group -> title of its table."""
 
-MEANS: Mapping[str, str] = MappingProxyType(
-    {
-        "ne_m": "final_ne_m",
-        "ne_centroid_m": "final_centroid_m",
-        "ne_surface_m": "final_surface_m",
-        "trajectory_length_m": "trajectory_length_m",
-        "spl": "spl",
-        "soft_spl": "soft_spl",
-        "progress_final": "progress_final",
-        "progress_max": "progress_max",
-        "progress_normalised": "progress_normalised",
-        "num_steps": "num_steps",
-    }
-)
-"""Field of `Score` -> field of `EpisodeResult` whose mean it contains."""
-BOUNDS: Mapping[str, Bounds] = MappingProxyType(
-    {
-        **dict.fromkeys(("spl", "soft_spl", "progress_max", "progress_normalised"), (0.0, 1.0)),
-        **dict.fromkeys(("ne_m", "ne_centroid_m", "ne_surface_m", "trajectory_length_m", "num_steps"), (0.0, math.inf)),
-    }
-)
-"""Smallest and largest value of the measures that have bounds."""
-DIFFERENCE_BOUNDS: Mapping[str, Bounds] = MappingProxyType(
-    {name: (low - high, high - low) for name, (low, high) in BOUNDS.items() if math.isfinite(high)}
-)
-"""Smallest and largest value of paired differences of these measures."""
 ALL = "all"
 GROUNDED = "two or more categories in view"
 
@@ -164,6 +138,8 @@ class PolicyScores(Model):
     """Tables of one policy."""
 
     policy: str
+    reference: str = Field(default="", exclude_if=lambda it: not it)
+    """What a policy with a separate name refers to; empty and omitted for other policies."""
     knows: str
     """Information used by the policy; models use camera and instruction only."""
     reads_instruction: bool
@@ -178,6 +154,11 @@ class PolicyScores(Model):
     ablation: tuple[Ablation, ...]
     act_ms: float | None
     """Mean inference time, milliseconds; not reproducible."""
+
+    @property
+    def described(self) -> str:
+        """What the policy is, if its name does not say it, and its information."""
+        return f"{self.reference}; input: {self.knows}" if self.reference else f"input: {self.knows}"
 
     @property
     def only_failed(self) -> bool:
@@ -202,6 +183,8 @@ class Evaluation(Model):
     complete: bool
     """Whether every episode of every policy is finished."""
     policies: tuple[PolicyScores, ...]
+    comparisons: tuple[PairedComparison, ...] = Field(default=(), exclude_if=lambda it: not it)
+    """Comparisons of each pair of policies with the original instruction; omitted for one policy."""
     remarks: tuple[str, ...] = ()
 
 
@@ -237,6 +220,7 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
     original = [row for row in results if row.variant is Variant.ORIGINAL]
     return PolicyScores(
         policy=policy,
+        reference=note.reference,
         knows=note.knows,
         reads_instruction=note.reads_instruction,
         overall=score(ALL, ALL, original),

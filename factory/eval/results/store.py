@@ -9,9 +9,10 @@ import hashlib
 import itertools
 import os
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -172,8 +173,39 @@ def read_manifest(root: Path) -> EvalManifest:
     return manifest
 
 
-def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
-    """Reads the results of one policy; returns its name and results.
+class PolicyResults(NamedTuple):
+    """Stored results of a policy."""
+
+    policy: str
+    results: list[EpisodeResult]
+    specs: SpecSet
+
+
+def read_policies(paths: Sequence[Path]) -> list[PolicyResults]:
+    """Reads the results of several policies, in order.
+
+    Args:
+        paths: folders of policies, see `read_policy_folder`; a single path is a folder OUT with all its policies.
+
+    Raises:
+        UsageError: There are fewer than two policies, or two have the same name.
+        WorldError: The results are damaged.
+    """
+    folders = folders_in(paths[0]) if len(paths) == 1 and (paths[0] / _MANIFEST).exists() else paths
+    runs = [read_policy_folder(folder) for folder in folders]
+    if len(runs) < 2:
+        raise UsageError(f"{paths[0]} has the results of {len(runs)} policy; a comparison needs two: give two folders")
+    for name, count in Counter(run.policy for run in runs).items():
+        if count > 1:
+            raise UsageError(
+                f"{count} of the folders have results of a policy with the name {name}; evaluate one of them again "
+                "with `--policy NAME=POLICY`, which gives it another name"
+            )
+    return runs
+
+
+def read_policy_folder(path: Path) -> PolicyResults:
+    """Reads the results of one policy.
 
     Args:
         path: `OUT/policies/NAME` with the name of the folder or of the policy, or `OUT` if it contains one policy only.
@@ -195,10 +227,11 @@ def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
         raise UsageError(f"{path} contains no results; give OUT or OUT/{_POLICIES}/NAME of `factory eval`")
     out = folder.parent.parent
     read_manifest(out)
-    results = _in_order(_read_log(folder / _LOG, cut=False), read_specs(out / _SPECS))
+    specs = read_specs(out / _SPECS)
+    results = _in_order(_read_log(folder / _LOG, cut=False), specs)
     if not results:
         raise UsageError(f"{path} contains no finished episode")
-    return results[0].policy, results
+    return PolicyResults(results[0].policy, results, specs)
 
 
 def folders_in(root: Path) -> list[Path]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 
 from factory.eval.policies.made_from import describe
-from factory.eval.results.estimate import IntervalEstimate
+from factory.eval.results.compare import PairedComparison
+from factory.eval.results.estimate import DIFFER, POWER, IntervalEstimate, resolved_difference
 from factory.eval.results.score import PolicyScores
 from factory.stats.statistics import Share
 
 _MOST_CLIPPED = 0.05
+_LEAST_P = 1e-4
+"""Smallest p value that is printed as a number."""
 INTERVALS = (
     "95 % intervals: shares by Wilson, measures from 0 to 1 by Wilson with an effective number of episodes, other "
     "means by Student's t, paired differences of SR by Tango"
@@ -35,6 +39,45 @@ def ablation_rows(
             which = "all" if row.by == "all" else "2+ categories in view"
             spelt = share(row.success), points(row.difference), f"{row.p:.3g}"
             yield policy.policy, row.variant, which, row.n, *spelt
+
+
+def conclusion(comparison: PairedComparison) -> str:
+    """Returns a sentence with what a comparison shows, its interval and its test."""
+    first, second, value = comparison.first, comparison.second, comparison.success_difference
+    mean, low, high = value.mean or 0.0, value.low or 0.0, value.high or 0.0
+    p = comparison.p if comparison.corrected_p is None else comparison.corrected_p
+    test = f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
+    if comparison.comparisons > 1:
+        test += f", corrected for {comparison.comparisons} comparisons"
+    counted = f"in {_episodes(comparison.pairs)}"
+    if comparison.is_significant:
+        better, worse = (second, first) if mean > 0 else (first, second)
+        ends = sorted((abs(100 * low), abs(100 * high)))
+        points = f"{abs(100 * mean):.1f} points [{ends[0]:.1f}, {ends[1]:.1f}]"
+        return f"{better} succeeds more often than {worse}: by {points} {counted} ({test})"
+    points = f"{100 * mean:+.1f} points [{100 * low:+.1f}, {100 * high:+.1f}]"
+    return (
+        f"No difference between {first} and {second} is shown {counted}: {points} ({test}); "
+        f"{resolution(comparison.pairs, comparison.comparisons)}"
+    )
+
+
+def resolution(pairs: int, comparisons: int = 1) -> str:
+    """Returns a sentence with the difference of two success rates that a number of episodes resolves."""
+    least = resolved_difference(pairs, comparisons)
+    if least is None:
+        return f"{_episodes(pairs)} resolve no difference"
+    return f"{_episodes(pairs)} resolve {math.ceil(100 * least)} points"
+
+
+def _episodes(count: int) -> str:
+    return f"{count} episode{'' if count == 1 else 's'}"
+
+
+ASSUMED = (
+    f"A difference is resolved if it is found with a probability of {100 * POWER:.0f} %, provided that the policies "
+    f"end differently in {100 * DIFFER:.0f} % of the episodes"
+)
 
 
 def policies_without_instruction(policies: Sequence[PolicyScores]) -> list[str]:

@@ -11,8 +11,10 @@ from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.eval.results.summary_text import (
     ABLATION_HEAD,
+    ASSUMED,
     INTERVALS,
     ablation_rows,
+    conclusion,
     describe_ends,
     fault_lines,
     policies_without_instruction,
@@ -51,9 +53,13 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     _print_ablations(evaluation.policies)
     click.echo("")
     for policy in evaluation.policies:
-        print_text(f"{policy.policy}: input: {policy.knows}; {describe_ends(policy)}")
+        print_text(f"{policy.policy}: {policy.described}; {describe_ends(policy)}")
         for line in fault_lines(policy):
             print_text(line)
+    for comparison in evaluation.comparisons:
+        print_text(conclusion(comparison))
+    if evaluation.comparisons:
+        print_text(ASSUMED)
     for remark in evaluation.remarks:
         print_text(f"note: {remark}")
     print_text(INTERVALS)
@@ -65,10 +71,13 @@ def print_comparison(comparison: PairedComparison) -> None:
     """Prints a paired comparison."""
     one, other = comparison.first, comparison.second
     print_text(f"{comparison.pairs} episodes run by both policies ({comparison.variant} instruction)")
+    print_text(conclusion(comparison))
     rows = [(one, _share(comparison.first_success)), (other, _share(comparison.second_success))]
     print_table("", ("policy", "SR, %"), rows, widest=_WIDTH)
     counts = f"both {comparison.both}, only {one} {comparison.only_first}, only {other} {comparison.only_second}"
     print_text(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
+    if comparison.corrected_p is not None:
+        print_text(f"corrected for {comparison.comparisons} comparisons (Bonferroni): p = {comparison.corrected_p:.3g}")
     body = [("SR, points", _points(comparison.success_difference))]
     body += [(TITLES[name], _estimate(value, 3)) for name, value in comparison.differences.items()]
     print_table(f"\n{other} minus {one}", ("measure", "mean, 95 % interval"), body, widest=_WIDTH)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from factory.eval.models.result import EpisodeResult
+from factory.eval.results.compare import Pair
 from factory.visualize.film import Rgb
 from schemas.config import CameraConfig, TaskConfig
 from schemas.measure import Goal
@@ -29,6 +30,7 @@ FILM_CRF = 28
 robot drives."""
 _SIDE_PX = 320
 _FRAMES = 36
+_GAP_PX = 8
 _POSTER_QUALITY = 80
 _MARGIN_M = 1.2
 _FREE, _OCCUPIED, _UNKNOWN = 245, 110, 170
@@ -51,7 +53,12 @@ def choose_failures(results: Sequence[EpisodeResult], count: int) -> list[Episod
 
 
 def draw_frames(
-    result: EpisodeResult, scene: CompiledScene, task: TaskConfig, renderer: Renderer, camera: CameraConfig
+    result: EpisodeResult,
+    scene: CompiledScene,
+    task: TaskConfig,
+    renderer: Renderer,
+    camera: CameraConfig,
+    poses: int | None = None,
 ) -> Iterator[Rgb]:
     """Yields at most 36 pictures (320, 640, 3) of an episode, spread evenly over its track.
 
@@ -61,17 +68,38 @@ def draw_frames(
         task: Success measure and radius.
         renderer: Open renderer for the camera images.
         camera: Camera of the robot.
+        poses: Number of poses of the time axis, if it is longer than the track; at its end, the last pose is repeated.
     """
     target = scene.info.target(result.target_id)
     renderer.load(scene, camera)
-    count = min(_FRAMES, len(result.track))
+    length = poses or len(result.track)
     board = _Map(scene, result, Goal.of(target, task))
     # renders the recorded track again, because only a few failures are filmed, and filming every drive is slow
-    for row in np.linspace(0, len(result.track) - 1, count).round().astype(int):
-        pose = result.track[int(row)]
+    for time in np.linspace(0, length - 1, min(_FRAMES, length)).round().astype(int):
+        row = min(int(time), len(result.track) - 1)
+        pose = result.track[row]
         rgb = renderer.render(Pose.planar(*pose, z=scene.info.floor_height_m)).rgb
         view = Image.fromarray(rgb).resize((_SIDE_PX, _SIDE_PX), Image.Resampling.BOX)
-        yield np.hstack((np.asarray(view), np.asarray(board.draw(int(row)))))
+        yield np.hstack((np.asarray(view), np.asarray(board.draw(row))))
+
+
+def draw_pair(
+    pair: Pair, scene: CompiledScene, task: TaskConfig, renderer: Renderer, camera: CameraConfig
+) -> Iterator[Rgb]:
+    """Yields pictures (648, 640, 3) of one episode of two policies on one time axis, the first policy above.
+
+    Args:
+        pair: Results with the tracks.
+        scene: Scene of the episode.
+        task: Success measure and radius.
+        renderer: Open renderer for the camera images.
+        camera: Camera of the robot.
+    """
+    poses = max(len(result.track) for result in pair)
+    films = [list(draw_frames(result, scene, task, renderer, camera, poses)) for result in pair]
+    gap = np.full((_GAP_PX, 2 * _SIDE_PX, 3), _FREE, np.uint8)
+    for one, other in zip(*films, strict=True):
+        yield np.vstack((one, gap, other))
 
 
 def draw_poster(picture: Rgb) -> bytes:

@@ -7,7 +7,7 @@ wrong instructions does not use them (paper Sec. VII). Runs no episodes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -139,12 +139,19 @@ class Campaign:
     root: Path
     """Dataset directory with the scenes."""
     policies: tuple[str, ...]
+    """Names of the policies in the results."""
     variants: tuple[Variant, ...]
     setup: EvalSetup
     processes: int = 1
     """Number of driver processes on this machine."""
     with_pose: bool = False
     """Whether observations contain the pose in the frame of the start pose."""
+    references: Mapping[str, str] = field(default_factory=dict)
+    """Name of a policy -> what it refers to; a policy that is not listed refers to itself."""
+
+    def reference(self, policy: str) -> str:
+        """Returns what the name of a policy refers to."""
+        return self.references.get(policy, policy)
 
 
 def tasks_for(campaign: Campaign, policy: str, places: LoadedScenes, first: int = 1) -> list[EvalTask]:
@@ -156,7 +163,8 @@ def tasks_for(campaign: Campaign, policy: str, places: LoadedScenes, first: int 
         places: scenes of the campaign.
         first: number of the first task.
     """
-    entry = find_policy(policy)
+    reference = campaign.reference(policy)
+    entry = find_policy(reference)
     specs = campaign.specs
     # a policy that reads no instruction runs the original variant only; its language gap is 0 by construction
     variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
@@ -166,7 +174,7 @@ def tasks_for(campaign: Campaign, policy: str, places: LoadedScenes, first: int 
         for spec in specs.specs
         if needs_scenes
     }
-    recorded = _recordings(policy, specs) if entry.needs_recording else {}
+    recorded = _recordings(reference, specs) if entry.needs_recording else {}
     tasks: list[EvalTask] = []
     for variant in variants:
         words = instructions(specs, variant, scenes)
@@ -175,6 +183,7 @@ def tasks_for(campaign: Campaign, policy: str, places: LoadedScenes, first: int 
                 EvalTask(
                     number=first + len(tasks),
                     policy=policy,
+                    reference=reference,
                     request=EvalRequest(
                         spec=spec,
                         spec_digest=specs.spec_digest(spec),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import pyarrow as pa
 import pyarrow.compute as pc
 from starlette.exceptions import HTTPException
@@ -10,9 +13,10 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
 from factory.eval.models.result import Variant
-from factory.eval.results.compare import PairedComparison, compare
+from factory.eval.results.compare import Pair, PairedComparison, compare, pairs_of
 from factory.eval.results.page import MeasureTable, comparison_table, main_table, tables_of
-from factory.eval.results.summary_text import INTERVALS
+from factory.eval.results.publish import pair_folder
+from factory.eval.results.summary_text import ASSUMED, INTERVALS, conclusion
 from factory.web.context import context_of, page
 from factory.web.evaluations import EvaluationReading
 from schemas.errors import FactoryError, UsageError
@@ -20,6 +24,7 @@ from schemas.support.suggest import did_you_mean
 
 _MOST_FAILURES = 200
 """Number of failures of a policy on the page."""
+_CACHED = {"cache-control": "private, max-age=60"}
 _KINDS = {".mp4": "video/mp4", ".jpg": "image/jpeg"}
 
 
@@ -29,6 +34,7 @@ def routes() -> list[Route]:
         Route("/evaluations", show_all),
         Route(here, show),
         Route(f"{here}/films/{{policy:int}}/{{file}}", film),
+        Route(f"{here}/pairs/{{first:int}}/{{second:int}}/{{file}}", film_of_pair),
     ]
 
 
@@ -63,6 +69,10 @@ def show(request: Request) -> Response:
         tables=list(tables_of(reading.evaluation.policies)) if reading.evaluation else [],
         compared=compared,
         comparison=comparison_table(compared) if compared else None,
+        conclusion=conclusion(compared) if compared else "",
+        conclusions=[conclusion(entry) for entry in reading.evaluation.comparisons] if reading.evaluation else [],
+        pair_films=_pair_films(reading, compared) if compared else [],
+        assumed=ASSUMED,
         refusal=refusal,
         query=request.query_params,
         variants=list(Variant),
@@ -84,7 +94,35 @@ def film(request: Request) -> Response:
         raise HTTPException(
             404, "this video does not exist; `factory eval --videos N` renders videos of N failures of each policy"
         )
-    return FileResponse(video, media_type=_KINDS[f".{kind}"], headers={"cache-control": "private, max-age=60"})
+    return FileResponse(video, media_type=_KINDS[f".{kind}"], headers=_CACHED)
+
+
+def film_of_pair(request: Request) -> Response:
+    """Answers with the video of an episode that only one of two policies completed, or with its last picture."""
+    reading = _reading(request, request.path_params["name"])
+    numbers = [request.path_params["first"], request.path_params["second"]]
+    file = Path(request.path_params["file"])
+    if max(numbers) < len(reading.policies) and file.suffix in _KINDS:
+        runs = [reading.policies[number] for number in numbers]
+        rows = [next((row for row in run.results if row.spec_id == file.stem), None) for run in runs]
+        path = pair_folder(reading.folder, runs[0].name, runs[1].name) / file.name
+        if None not in rows and path.is_file():
+            return FileResponse(path, media_type=_KINDS[file.suffix], headers=_CACHED)
+    raise HTTPException(404, "this video does not exist; `factory eval --videos N` renders N videos of each pair")
+
+
+def _pair_films(reading: EvaluationReading, compared: PairedComparison) -> list[tuple[str, Pair]]:
+    """Returns the address below the evaluation, without suffix, and the results of each video of a pair."""
+    runs = [reading.policy(name) for name in (compared.first, compared.second)]
+    numbers = [reading.policies.index(run) for run in runs]
+    films = []
+    for one, other in pairs_of(runs[0].results, runs[1].results, compared.variant):
+        for (first, second), pair in ((numbers, (one, other)), (numbers[::-1], (other, one))):
+            folder = pair_folder(reading.folder, pair[0].policy, pair[1].policy)
+            if one.success != other.success and (folder / f"{one.spec_id}.mp4").is_file():
+                films.append((f"pairs/{first}/{second}/{one.spec_id}", pair))
+                break
+    return films
 
 
 def _reading(request: Request, name: str) -> EvaluationReading:
@@ -104,7 +142,9 @@ def _compared(request: Request, reading: EvaluationReading) -> tuple[PairedCompa
         return None, ""
     try:
         variant = Variant(query.get("variant", "original"))
-        return compare(reading.policy(first).results, reading.policy(second).results, variant), ""
+        # every pair can be selected here, so tests and intervals are corrected for all of them
+        number = max(1, math.comb(len(reading.policies), 2))
+        return compare(reading.policy(first).results, reading.policy(second).results, variant, number), ""
     except ValueError as error:
         raise UsageError(f"variant={query['variant'][:40]!r} is not valid; valid: {', '.join(Variant)}") from error
     except UsageError as error:

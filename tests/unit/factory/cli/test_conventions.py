@@ -49,6 +49,7 @@ DIFFERENT = {
     ("factory render", "--rig"): "renders several rigs",
     ("factory run", "--scenes"): "names a folder of packages",
     ("factory replay", "--scenes"): "names a folder of packages",
+    ("factory eval compare", "--dataset"): "its arguments are results",
     ("factory relabel", "--language"): "takes a file; `factory stats` has a flag of this name",
     ("factory keys host", "--address"): "lists the addresses of one host",
     ("factory repair", "--plan"): "is an option, because the argument is the dataset",
@@ -335,4 +336,4 @@ def test_the_help_of_a_verb_with_a_default_shows_its_options(
     assert run(words, monkeypatch) == 0
     text = capsys.readouterr().out
     assert text.startswith("Usage: factory eval [OPTIONS] DIR\n")
-    assert "--policy POLICY" in text
+    assert "--policy [NAME=]POLICY" in text

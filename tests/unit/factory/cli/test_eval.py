@@ -37,6 +37,12 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--policy", "expert:best"), "unknown expert 'best'; valid experts: "),
         (("--policy", "expert:plannr"), "unknown expert 'plannr'; .*; did you mean 'planner'"),
         (("--policy", "nowhere_pilot:Policy"), "no module 'nowhere_pilot'; looked in"),
+        (("--policy", "random=expert"), "random is a built-in policy; choose another name for expert"),
+        (
+            ("--policy", "a=stop", "--policy", "a=random"),
+            "is given for stop and for random; choose two names",
+        ),
+        (("--policy", "a=exprt"), "unknown policy 'exprt'; .*; did you mean 'expert'"),
         (("--policy", "exprt"), "unknown policy 'exprt'; .*; did you mean 'expert'"),
         (("--policy", "stop"), "has no episodes in test splits; evaluate on its other splits with --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),

@@ -43,6 +43,7 @@ TARGET = Target(
 TASK = EvalTask(
     number=1,
     policy="m:P",
+    reference="m:P",
     request=EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction=spec_of().instruction),
     setup=EvalSetup(settings=SETTINGS),
 )

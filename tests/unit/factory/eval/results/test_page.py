@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from factory.eval.models.result import EvalEnd
-from factory.eval.results.page import FailureExample, write_page
+from factory.eval.results.page import EpisodeFilm, write_page
 from factory.eval.results.video import choose_failures
 from tests.builders.eval_results import evaluation_of, result_of
 from tests.builders.html import Outline
@@ -14,13 +14,13 @@ HOSTILE = "m:<script>alert(1)</script>"
 WRITTEN = "<img src=x onerror=alert(1)>"
 
 
-def failure(**changes: object) -> FailureExample:
-    return FailureExample(result_of(1, success=False, **changes), film=b"film", poster=b"poster")
+def failure(**changes: object) -> EpisodeFilm:
+    return EpisodeFilm((result_of(1, success=False, **changes),), film=b"film", poster=b"poster")
 
 
 def test_names_and_instructions_cannot_become_markup() -> None:
     hostile = evaluation_of(HOSTILE).model_copy(update={"run": HOSTILE, "source": WRITTEN, "remarks": (WRITTEN,)})
-    page = write_page(hostile, {HOSTILE: [failure(instruction=f'"{WRITTEN}', detail="<u>")]})
+    page = write_page(hostile, {(HOSTILE,): [failure(instruction=f'"{WRITTEN}', detail="<u>")]})
     outline = Outline(page)
     assert not outline.tags & {"script", "img", "u"}
     assert "onerror" not in outline.attributes
@@ -29,7 +29,7 @@ def test_names_and_instructions_cannot_become_markup() -> None:
 
 
 def test_the_page_is_self_contained() -> None:
-    page = write_page(evaluation_of("stop"), {"stop": [failure()]})
+    page = write_page(evaluation_of("stop"), {("stop",): [failure()]})
     outline = Outline(page)
     sources = [link for link in outline.links if not link.startswith("#")]
     assert sorted(sources) == ["data:image/jpeg;base64,cG9zdGVy", "data:video/mp4;base64,ZmlsbQ=="]
@@ -39,7 +39,7 @@ def test_the_page_is_self_contained() -> None:
 
 
 def test_videos_do_not_autoplay_and_can_be_paused() -> None:
-    page = write_page(evaluation_of("stop", "expert"), {"stop": [failure(), failure()], "expert": [failure()]})
+    page = write_page(evaluation_of("stop", "expert"), {("stop",): [failure(), failure()], ("expert",): [failure()]})
     films = re.findall(r"<video[^>]*>", page)
     assert len(films) == 3
     for film in films:
@@ -60,7 +60,7 @@ def test_tables_scroll_in_containers_that_the_keyboard_reaches() -> None:
 
 
 def test_main_metrics_are_first_and_the_rest_is_collapsed() -> None:
-    page = write_page(evaluation_of("expert", "stop"), {"stop": [failure()]})
+    page = write_page(evaluation_of("expert", "stop"), {("stop",): [failure()]})
     main, rest = page.split('<section id="measures">')
     table = main[main.index("<table") :]
     assert re.findall(r'data-label="([^"]+)"', table)[:5] == ["SR, %", "SPL", "NE, m", "collision, %", "n"]
@@ -82,7 +82,7 @@ def test_each_table_lists_each_policy_with_its_interval() -> None:
 
 
 def test_the_same_evaluation_gives_the_same_bytes() -> None:
-    shown = {"stop": [failure()]}
+    shown = {("stop",): [failure()]}
     assert write_page(evaluation_of("stop"), shown) == write_page(evaluation_of("stop"), shown)
 
 
