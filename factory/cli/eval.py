@@ -396,8 +396,8 @@ def compare(
     """Compare policies on the episodes that they share.
 
     Each policy is compared with each. OUT is the -o of `factory eval` with several policies. A and B are folders
-    OUT/policies/NAME, e.g. OUT/policies/bc:bc, or OUT if it contains one policy. With more than two policies, tests and intervals are corrected
-    for the number of comparisons.
+    OUT/policies/NAME, e.g. OUT/policies/bc:bc, or OUT if it contains one policy. With more than two policies, tests and
+    intervals are corrected for the number of comparisons.
     """
     from factory.eval.results.compare import compare_all, require_common
     from factory.eval.results.publish import COMPARISON_FILE, publish_comparison
