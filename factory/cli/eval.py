@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 _RESULTS = click.Path(path_type=Path)
 _split_option = split_filter(
-    f"Split to include; repeatable. Values: {', '.join(Split)}, all. Default: the test splits."
+    f"Split to include; repeatable. Values: {', '.join(Split)}, all (also the training splits train_id and val_id). "
+    "Default: all episodes of the test splits."
 )
 
 
@@ -302,8 +303,7 @@ def specs(
     """
     from factory.dataset.reader import Dataset
     from factory.eval.models.spec import write_specs
-    from factory.eval.order import splits_of
-    from factory.eval.specs.from_dataset import specs_of_dataset
+    from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
     from factory.eval.specs.unfiltered import unfiltered_specs
     from factory.support.logs import configure_logs
     from factory.support.terminal import one_bar, print_json

@@ -23,41 +23,13 @@ from factory.eval.results.publish import publish
 from factory.eval.results.score import Evaluation
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import ABLATIONS, Campaign
-from factory.eval.specs.from_dataset import specs_of_dataset
+from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
 from factory.support.terminal import Bars, one_bar
 from schemas.appearance import Appearance
 from schemas.errors import UsageError
 from schemas.rig.rig_file import load_rig
-from schemas.support.shell import quoted
 from schemas.terms import RendererKind, Split
 from schemas.view import ViewSettings
-
-_TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
-
-
-def splits_of(dataset: Dataset, names: tuple[str, ...] | None) -> tuple[Split, ...]:
-    """Returns the splits to evaluate, in the paper's order.
-
-    Args:
-        dataset: the dataset.
-        names: names of splits; empty for all splits with episodes, `None` for all test splits with episodes.
-    """
-    if names:
-        return tuple(split for split in Split if str(split) in names)
-    present = set(dataset.column("split").to_pylist())
-    splits = tuple(
-        split for split in Split if str(split) in present and (names is not None or split not in _TRAINED_ON)
-    )
-    if not present:
-        raise UsageError(
-            f"{dataset.root} has no episodes: `factory status {quoted(dataset.root)}` shows its run, "
-            f"`factory run --out {quoted(dataset.root)}` continues it"
-        )
-    if not splits:
-        raise UsageError(
-            f"{dataset.root} has no episodes in test splits; evaluate on its other splits with --split all"
-        )
-    return splits
 
 
 @dataclass(frozen=True)

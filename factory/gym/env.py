@@ -23,7 +23,7 @@ from factory.eval.driving.live_view import RigSensors, SensorArrays, live_appear
 from factory.eval.driving.measure import odometry
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import EvalSpec, SpecSet, read_specs
-from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
+from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset, splits_of
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
 from schemas.appearance import Appearance
 from schemas.encoding.arrays import ArraySpec
@@ -81,7 +81,7 @@ def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> Sp
 
     Args:
         root: Location of the dataset.
-        split: One or more splits of the dataset, separated by commas.
+        split: One or more splits of the dataset, separated by commas; `all` for all splits with episodes.
         specs: File of specs, or a spec set, used instead of `split`.
 
     Raises:
@@ -93,10 +93,14 @@ def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> Sp
     if specs is not None:
         return read_specs(Path(specs))
     names = [name.strip() for name in split.split(",")]
+    if names == ["all"]:
+        dataset = Dataset(root)
+        return specs_of_dataset(dataset, splits_of(dataset, ()))
     unknown = [name for name in names if name not in set(Split)]
     if unknown:
         raise UsageError(
-            f"unknown split {', '.join(unknown)}; valid splits: {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
+            f"unknown split {', '.join(unknown)}; valid splits: {', '.join(Split)}, or all"
+            f"{did_you_mean(unknown[0], Split)}"
         )
     return specs_of_dataset(Dataset(root), [Split(name) for name in names])
 
@@ -154,7 +158,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
 
         Args:
             data: Dataset directory, used for its scenes and, without `specs`, its episodes. Required.
-            split: One or more splits of the dataset, separated by commas.
+            split: One or more splits of the dataset, separated by commas; `all` for all splits with episodes.
             specs: File written by `factory eval specs`, or a spec set, used instead of `split`.
             actions: `continuous`, `scaled` or `tokens`.
             with_pose: Whether observations contain the pose.

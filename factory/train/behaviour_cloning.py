@@ -28,7 +28,7 @@ from factory.train.checkpoint import (
 )
 from factory.train.frames import TrainingFrames
 from factory.train.measures import EpochMeasures, TrainReport
-from factory.train.options import BcOptions, CheckpointMeta
+from factory.train.options import BcOptions, CheckpointMeta, TrainingStarts
 from factory.train.pictures import open_cache, render_frames
 from factory.train.torch_import import choose_device, deterministic_algorithms, load_torch, require_logs, summary_writer
 from factory.train.vocabulary import vocabulary
@@ -197,8 +197,18 @@ def _meta(order: TrainOrder, train: TrainingFrames) -> CheckpointMeta:
         appearance=order.dataset.appearance,
         train_episodes=len(index.episodes),
         train_frames=len(train),
+        starts=_starts(order.dataset.filter(split=order.split)),
         software=f"minivla-factory {version}, torch {load_torch().__version__}",
     )
+
+
+def _starts(dataset: Dataset) -> TrainingStarts:
+    scenes: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
+    names = ("scene_sha256", "target_id", "spawn_x_m", "spawn_y_m", "spawn_yaw_rad")
+    for scene, target, *pose in zip(*(dataset.column(name).to_pylist() for name in names), strict=True):
+        x, y, yaw = (round(value, 4) for value in pose)
+        scenes.setdefault(scene, {}).setdefault(target, []).append((x, y, yaw))
+    return TrainingStarts.model_validate({"scenes": scenes})
 
 
 def _restore(order: TrainOrder, training: BcTraining, checkpoint: Checkpoint) -> list[EpochMeasures]:

@@ -15,14 +15,16 @@ from factory.dataset.reader import Dataset
 from factory.eval.driving.rollout import thin_track
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalSetup
-from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.models.result import EpisodeResult, EvalEnd, TrainingNote, Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies.registry import renders_apart
 from factory.eval.process.local_campaign import run_campaign
-from factory.eval.results.publish import evaluation_of, publish
+from factory.eval.results.publish import evaluation_of, publish, training_overlap
+from factory.eval.results.score import Evaluation
 from factory.eval.results.store import EvalManifest, Store
+from factory.eval.results.text import print_evaluation
 from factory.eval.specs.campaign import Campaign, playback_sources
-from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
+from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset, splits_of
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
 from workers.geometry.slew import Twist
@@ -247,3 +249,42 @@ def test_a_policy_that_is_edited_after_an_interruption_is_refused(
         store.set_aside("edited_policy:Mine")
         assert run_campaign(whole, store, threading.Event(), lambda _pace: None)
         assert len(store.results("edited_policy:Mine")) == len(specs.specs)
+
+
+def test_the_default_evaluates_every_episode_of_the_test_splits_and_all_also_those_of_training(drives: Dataset) -> None:
+    splits = drives.column("split").to_pylist()
+    tested = specs_of_dataset(drives, splits_of(drives, None)).specs
+    assert len(tested) == sum(split.startswith("test_") for split in splits) == 2
+    assert len(specs_of_dataset(drives, splits_of(drives, ())).specs) == len(splits) == 3
+
+
+def test_evaluated_training_episodes_are_named(
+    drives: Dataset, specs: SpecSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign = campaign_of(drives, short(specs, 4), "stop")
+    with open_store(tmp_path, campaign) as store:
+        run_campaign(campaign, store, threading.Event(), lambda _pace: None)
+        rows, note = store.results("stop"), store.note_of("stop")
+        assert note is not None
+        training = TrainingNote(digest=drives.filter(split="train_id").digest, episodes=1)
+        note = note.model_copy(update={"training": training})
+        # without starts, as in a checkpoint of format 2, the digest of the split decides
+        overlap = training_overlap(campaign, note, rows)
+        assert overlap is not None
+        assert (overlap.train_digest, overlap.evaluation_digest) == (training.digest, drives.digest)
+        assert (overlap.trained_on, overlap.episodes) == (1, 3)
+        unknown = note.model_copy(update={"training": TrainingNote(digest="0" * 64, episodes=9)})
+        assert training_overlap(campaign, unknown, rows) == overlap.model_copy(
+            update={"train_digest": "0" * 64, "train_episodes": 9, "trained_on": None}
+        )
+        flagged = [row.model_copy(update={"trained_on": row.split == "test_id"}) for row in rows]
+        assert getattr(training_overlap(campaign, unknown, flagged), "trained_on", None) == 2
+        store.note(note)
+        publish(campaign, store, 0)
+        print_evaluation(evaluation_of(campaign, store))
+    said = " ".join(capsys.readouterr().out.split())
+    page = " ".join((tmp_path / "index.html").read_text().split())
+    for text in (said, page):
+        assert "stop: warning: trained on 1 of the 3 evaluated episodes (training digest" in text
+        assert "1 of train_id are among the 3 episodes" in text
+    assert Evaluation.model_validate_json((tmp_path / "results.json").read_bytes()).policies[0].training == overlap

@@ -326,3 +326,11 @@ def test_environments_run_side_by_side_in_spawned_processes(drives: Dataset, spe
         assert (after["rgb"] != first["rgb"]).any()
     finally:
         vector.close()
+
+
+def test_split_all_has_the_episodes_of_every_split(drives: Dataset) -> None:
+    opened = MiniVLANavEnv(drives.root, split="all", size=SMALL)
+    try:
+        assert {spec.spec_id for spec in opened.specs.specs} == set(drives.column("episode_id").to_pylist())
+    finally:
+        opened.close()

@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,19 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
-from factory.eval.models.messages import PolicyLimits
+from factory.eval.models.messages import EvalSetup, PolicyLimits
+from factory.eval.models.result import Variant
 from factory.eval.policies.registry import find_policy, make_policy
+from factory.eval.process.local_campaign import run_campaign
+from factory.eval.results.publish import evaluation_of
+from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
 from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
 from factory.train.options import BcOptions
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import install_command
 from tests.builders.dataset import make_dataset
+from tests.builders.evaluation import open_store
 from tests.builders.needs_torch import needs_torch
 
 INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
@@ -244,3 +251,22 @@ def test_the_command_prints_its_report_and_resumes(root: Path, tmp_path: Path) -
     third = subprocess.run([*base, "--epochs", "2"], capture_output=True, text=True, check=False)
     assert third.returncode == 2
     assert "epochs 1, now 2" in third.stderr
+
+
+@needs_torch
+def test_an_evaluation_counts_the_episodes_that_the_policy_was_trained_on(drives: Dataset, tmp_path: Path) -> None:
+    train(drives.root, tmp_path / "out", options(epochs=1))
+    specs = specs_of_dataset(drives, splits_of(drives, ()))
+    task = specs.settings.task.model_copy(update={"max_steps": 3})
+    specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
+    campaign = Campaign(
+        specs, drives.root, (f"bc:{tmp_path / 'out'}",), (Variant.ORIGINAL,), EvalSetup(settings=specs.settings)
+    )
+    with open_store(tmp_path / "results", campaign) as store:
+        assert run_campaign(campaign, store, threading.Event(), lambda _pace: None)
+        rows = store.results(campaign.policies[0])
+        (policy,) = evaluation_of(campaign, store).policies
+    assert [row.trained_on for row in rows] == [row.split == "train_id" for row in rows]
+    assert policy.training is not None
+    assert (policy.training.trained_on, policy.training.episodes) == (1, 3)
+    assert policy.training.train_digest == drives.filter(split="train_id").digest

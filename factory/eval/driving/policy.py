@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import Actions
+from factory.eval.models.result import TrainingNote
+from factory.eval.models.spec import EvalSpec
+from factory.train.options import TrainingStarts
 from schemas.job import Job
 from schemas.terms import ExpertName
 
@@ -128,6 +131,20 @@ class PolicyFailure(Exception):
 
 class ServerUnreachable(Exception):
     """The server of a policy cannot be reached; the evaluation stops and can be resumed."""
+
+
+def training_of(policy: Policy) -> TrainingNote | None:
+    """Returns what a policy states about its training; `None` if it states nothing."""
+    note = getattr(policy, "training", None)
+    return note if isinstance(note, TrainingNote) else None
+
+
+def was_trained_on(policy: Policy, spec: EvalSpec) -> bool | None:
+    """Returns whether a policy was trained on an episode; `None` if it does not state its training episodes."""
+    starts = getattr(policy, "training_starts", None)
+    if not isinstance(starts, TrainingStarts):
+        return None
+    return starts.holds(spec.scene_sha256, spec.target_id, spec.spawn_pose)
 
 
 def uses_camera(policy: Policy) -> bool:

@@ -31,6 +31,7 @@ from factory.eval.driving.policy import (
     ServerUnreachable,
     kind_of_actions,
     uses_camera,
+    was_trained_on,
 )
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalRequest, EvalTask
@@ -232,6 +233,7 @@ def _measured(
         clipped_actions=drive.clipped,
         act_ms=1000 * drive.act_s / max(1, drive.answers),
         seconds=seconds,
+        trained_on=was_trained_on(drive.policy, spec),
         track=thin_track(track, rules.control_hz),
     )
 

@@ -40,6 +40,14 @@ class EvalEnd(StrEnum):
         return self.value.startswith("policy_")
 
 
+class TrainingNote(Model):
+    """What a policy states about its training."""
+
+    digest: Sha256
+    """Digest of the training episodes, as `Dataset.digest` returns it."""
+    episodes: Annotated[int, Field(ge=1)]
+
+
 class EpisodeResult(Model):
     """Result of one episode with one policy and one instruction; distances are planar, metres."""
 
@@ -95,6 +103,9 @@ class EpisodeResult(Model):
     """Mean wall time of a policy call, milliseconds; not reproducible."""
     seconds: NonNegative
     """Wall time of the episode, seconds; not reproducible."""
+    trained_on: bool | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Whether the policy was trained on an episode with the same scene, target and start; `None` and omitted if the
+    policy does not state its training episodes."""
     track: tuple[tuple[float, float, float], ...]
     """x, y in metres (to 1 mm) and yaw in radians (to 1 mrad), at 10 Hz and at the last frame."""
 

@@ -14,7 +14,8 @@ from pydantic import Field
 
 from factory.eval.driving.live_view import live_arrays, shows_recorded_camera
 from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy, needs_of
-from factory.eval.models.messages import PolicyLimits
+from factory.eval.models.messages import EvalReport, PolicyLimits
+from factory.eval.models.result import TrainingNote
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import ExpertPolicy, PlaybackPolicy, RandomPolicy, ReplayPolicy, StopPolicy
@@ -40,20 +41,23 @@ class PolicyNote(Model):
     made_from: dict[str, str] = Field(default={}, max_length=1001, exclude_if=lambda it: not it)
     """SHA-256 of each file of the policy, or of its server's greeting; omitted for built-in policies without a file,
     and in results of older versions."""
+    training: TrainingNote | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Training of the policy; `None` and omitted if it is not known."""
     order_dependence: str | None = Field(default=None, exclude_if=lambda it: it is None)
     """How an episode that was repeated alone in a new process differs from its result; null and omitted if it does not
     differ, or if none was repeated."""
 
 
-def note_of(policy: str, knows: str, renderer: str, made_from: dict[str, str]) -> PolicyNote:
-    """Returns the metadata of a policy that was created on this machine."""
+def note_of(policy: str, made: EvalReport, renderer: str) -> PolicyNote:
+    """Returns the metadata of a policy that was created on this machine, from the report of its creation."""
     return PolicyNote(
         policy=policy,
-        knows=knows,
+        knows=made.detail,
         reads_instruction=find_policy(policy).reads_instruction,
         renderer=renderer,
         software=software_versions(),
-        made_from=made_from,
+        made_from=made.made_from,
+        training=made.training,
     )
 
 

@@ -24,7 +24,7 @@ import traceback
 from collections.abc import Callable
 
 from factory.dataset.packages import light_file
-from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerUnreachable
+from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerUnreachable, training_of
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalSetup, to_line
@@ -140,7 +140,15 @@ class _Driver:
             self._status.is_warm = False
             self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
             knows, hashes = describe_knowledge(policy), hashes_of(name, policy, order.policy_file or file_of(name))
-            self._tell(EvalReport(kind=EvalReportKind.POLICY, number=order.task.number, detail=knows, made_from=hashes))
+            self._tell(
+                EvalReport(
+                    kind=EvalReportKind.POLICY,
+                    number=order.task.number,
+                    detail=knows,
+                    made_from=hashes,
+                    training=training_of(policy),
+                )
+            )
         return self._policy
 
 

@@ -59,10 +59,9 @@ class DriverProcess:
         self._status: SharedStatus | None = None
         self.current: EvalTask | None = None
         """Task in progress; `None` without one."""
-        self.made: dict[str, str] = {}
-        """Policy name -> description of the information it uses, for policies created in this process."""
-        self.made_from: dict[str, dict[str, str]] = {}
-        """Policy name -> hashes of what the policy consists of, for policies created in this process."""
+        self.made: dict[str, EvalReport] = {}
+        """Policy name -> report of its creation, for policies created in this process: the information that it uses,
+        the hashes of what it consists of, and its training."""
         self.renderer = ""
         """Description of the renderer; empty until the process reports it."""
 
@@ -85,7 +84,7 @@ class DriverProcess:
         task = order.task
         if task.setup != self._setup:
             self.kill()
-            self._setup, self.made, self.made_from = task.setup, {}, {}
+            self._setup, self.made = task.setup, {}
         if renders_apart(task.policy) and not self._renders_apart:
             self.kill()
             self._renders_apart = True
@@ -123,8 +122,7 @@ class DriverProcess:
         if report.kind is EvalReportKind.READY:
             self.renderer = report.detail
         elif report.kind is EvalReportKind.POLICY and self.current is not None:
-            self.made[self.current.policy] = report.detail
-            self.made_from[self.current.policy] = report.made_from
+            self.made[self.current.policy] = report
         else:
             return True
         return False

@@ -206,7 +206,8 @@ class _PolicyCampaign:
         Raises:
             UsageError: it has; the message contains both hashes.
         """
-        hashes = driver.made_from.get(self._policy)
+        made = driver.made.get(self._policy)
+        hashes = None if made is None else made.made_from
         if hashes is None or self._checked.get(driver) is hashes:  # a restarted process reports another dictionary
             return
         note = self._store.note_of(self._policy)
@@ -223,6 +224,5 @@ class _PolicyCampaign:
     def _keep(self, result: EpisodeResult) -> None:
         driver = self._made()
         if driver is not None and self._store.note_of(self._policy) is None:
-            hashes = driver.made_from.get(self._policy, {})
-            self._store.note(note_of(self._policy, driver.made[self._policy], driver.renderer, hashes))
+            self._store.note(note_of(self._policy, driver.made[self._policy], driver.renderer))
         self._store.add(result)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from factory.dataset.reader import Dataset
 from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.models.spec import EvalSpec
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.estimate import FEW
 from factory.eval.results.page import FailureExample, write_page
-from factory.eval.results.score import Evaluation, score_policy
+from factory.eval.results.score import Evaluation, TrainingOverlap, score_policy
 from factory.eval.results.store import Store
 from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_poster
 from factory.eval.specs.campaign import Campaign
-from factory.eval.specs.from_dataset import LoadedScenes
+from factory.eval.specs.from_dataset import TRAINED_ON, LoadedScenes
 from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
 from schemas.storage.disk import replacing
@@ -95,7 +99,8 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
             raise WorldError(f"{store.root} has no description of policy {name}; run the same command again")
         expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
         is_complete = is_complete and len(results) >= expected
-        scores.append(score_policy(name, results, note))
+        overlap = training_overlap(campaign, note, [row for row in results if row.variant is Variant.ORIGINAL])
+        scores.append(score_policy(name, results, note).model_copy(update={"training": overlap}))
     return Evaluation(
         run=campaign.specs.run,
         source=campaign.specs.source,
@@ -108,6 +113,40 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         policies=tuple(scores),
         remarks=(*_order_dependences(campaign, store), *_remarks(campaign)),
     )
+
+
+def training_overlap(campaign: Campaign, note: PolicyNote, results: Sequence[EpisodeResult]) -> TrainingOverlap | None:
+    """Returns how many of the evaluated episodes a policy was trained on; `None` if its training is not known.
+
+    Args:
+        campaign: Evaluated campaign.
+        note: Metadata of the policy, with its training.
+        results: Results of the policy with the original instructions.
+    """
+    training, dataset = note.training, Dataset(campaign.root)
+    if training is None:
+        return None
+    specs = campaign.specs.specs
+    known = set(dataset.column("episode_id").to_pylist()) if dataset.meta.run == campaign.specs.run else set()
+    names = [spec.source_episode for spec in specs if spec.source_episode in known]
+    flags = [row.trained_on for row in results if row.trained_on is not None]
+    # a checkpoint of format 2 has a digest only, which equals that of a whole split of the dataset, or is unknown
+    trained_on = sum(flags) if flags else _in_trained_split(dataset, training.digest, specs, known)
+    return TrainingOverlap(
+        train_digest=training.digest,
+        train_episodes=training.episodes,
+        evaluation_digest=dataset.filter(episode=[name for name in names if name]).digest if names else None,
+        episodes=len(specs),
+        trained_on=trained_on,
+    )
+
+
+def _in_trained_split(dataset: Dataset, digest: str, specs: Sequence[EvalSpec], known: set[str]) -> int | None:
+    """Returns the number of specs from the split of the dataset with this digest; `None` without such a split."""
+    for split in sorted(set(dataset.column("split").to_pylist())):
+        if dataset.filter(split=split).digest == digest:
+            return len([spec for spec in specs if str(spec.split) == split and spec.source_episode in known])
+    return None
 
 
 def _order_dependences(campaign: Campaign, store: Store) -> Iterator[str]:
@@ -124,6 +163,12 @@ def _remarks(campaign: Campaign) -> list[str]:
     remarks = []
     if len(specs) < FEW:
         remarks.append(f"{len(specs)} episodes are few, so the intervals are wide; evaluate at least {FEW}")
+    counts = Counter(spec.split for spec in specs)
+    if trained := [f"{counts[split]} of {split}" for split in TRAINED_ON if counts[split]]:
+        remarks.append(
+            f"{' and '.join(trained)} are among the {len(specs)} episodes: a policy that was trained or selected on "
+            "this dataset knows them; the default is the test splits only"
+        )
     if campaign.setup.view != ViewSettings():
         remarks.append(f"view of the policies: {campaign.setup.view.describe()}")
     if moved:

@@ -160,6 +160,20 @@ class Ablation(Model):
         return IntervalEstimate(n=gap.n, mean=-gap.mean, low=-gap.high, high=-gap.low)
 
 
+class TrainingOverlap(Model):
+    """Training episodes of a policy among the evaluated episodes."""
+
+    train_digest: Sha256
+    """Digest of the training episodes."""
+    train_episodes: Annotated[int, Field(ge=1)]
+    evaluation_digest: Sha256 | None
+    """Digest of the archived episodes that the specs come from, by the same definition; `None` without any."""
+    episodes: Annotated[int, Field(ge=0)]
+    """Number of evaluated episodes."""
+    trained_on: Annotated[int, Field(ge=0)] | None
+    """How many of them the policy was trained on; `None` if it is not known."""
+
+
 class PolicyScores(Model):
     """Tables of one policy."""
 
@@ -173,6 +187,8 @@ class PolicyScores(Model):
     ends: dict[EvalEnd, int]
     made_from: dict[str, str] = Field(default={}, max_length=1001, exclude_if=lambda it: not it)
     """SHA-256 of each file of the policy, or of its server's greeting."""
+    training: TrainingOverlap | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Overlap of training and evaluation; `None` and omitted if the policy does not state its training."""
     faults: tuple[FaultCount, ...] = ()
     """Policy failures under all instruction variants."""
     ablation: tuple[Ablation, ...]
