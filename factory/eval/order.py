@@ -13,7 +13,7 @@ from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn,
 from factory.dataset.reader import Dataset
 from factory.eval.driving.live_view import live_appearance, require_live
 from factory.eval.models.messages import EvalSetup
-from factory.eval.models.result import Variant
+from factory.eval.models.result import Latency, Variant
 from factory.eval.models.spec import SpecSet, read_specs
 from factory.eval.policies.made_from import GREETING, another_policy, hashes_now
 from factory.eval.policies.registry import check_name, file_of, is_user_class, require_available
@@ -49,6 +49,7 @@ class EvalOptions:
     renderer: RendererKind
     rig: str | None = None
     appearance: str | None = None
+    latency: Latency | None = None
 
 
 def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
@@ -77,6 +78,7 @@ def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
         renderer=options.renderer,
         act_timeout_s=options.act_timeout,
         load_timeout_s=options.load_timeout,
+        latency=options.latency,
         view=ViewSettings(rig=rig, appearance=_appearance(options.appearance)),
     )
     return Campaign(
@@ -101,6 +103,7 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
         specs_digest=campaign.specs.digest,
         with_pose=campaign.with_pose,
         act_timeout_s=campaign.setup.act_timeout_s,
+        latency=campaign.setup.latency,
         view=campaign.setup.view,
     )
     return Store(folder, campaign.specs, manifest)

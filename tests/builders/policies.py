@@ -63,6 +63,27 @@ class Slow(_Quiet):
         return 0.0, 0.0
 
 
+class TellsSteps(_Quiet):
+    """Drives, and raises an exception with the steps of its first four observations."""
+
+    def reset(self, instruction: str, info: Any) -> None:
+        self.steps: list[int] = []
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        self.steps.append(observation["step"])
+        if len(self.steps) == 4:
+            raise ValueError(self.steps)
+        return [(0.5, 0.0)] * 2
+
+
+class ThinksAndTellsSteps(TellsSteps):
+    """As its base class, and thinks for 0.2 s."""
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        time.sleep(0.2)
+        return super().act(observation)
+
+
 class Dies(_Quiet):
     """Ends its process."""
 

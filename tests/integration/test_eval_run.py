@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import json
+import subprocess
+import sys
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,9 +23,10 @@ from factory.eval.models.result import EpisodeResult, EvalEnd, TrainingNote, Var
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies.registry import renders_apart
 from factory.eval.process.local_campaign import run_campaign
+from factory.eval.results.compare import compare
 from factory.eval.results.publish import evaluation_of, publish, training_overlap
 from factory.eval.results.score import Evaluation
-from factory.eval.results.store import EvalManifest, Store
+from factory.eval.results.store import EvalManifest, Store, read_manifest
 from factory.eval.results.text import print_evaluation
 from factory.eval.specs.campaign import Campaign, playback_sources
 from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset, splits_of
@@ -31,6 +36,7 @@ from workers.geometry.slew import Twist
 from workers.sim.context import SimulationContext
 
 MINE = "tests.builders.policies"
+EXAMPLES = Path(__file__).parent.parent.parent / "docs" / "evaluation"
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +62,11 @@ def campaign_of(
 
 def open_store(root: Path, campaign: Campaign) -> Store:
     manifest = EvalManifest(
-        run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=2.0
+        run=campaign.specs.run,
+        specs_digest=campaign.specs.digest,
+        with_pose=False,
+        act_timeout_s=2.0,
+        latency=campaign.setup.latency,
     )
     return Store(root, campaign.specs, manifest)
 
@@ -288,3 +298,57 @@ def test_evaluated_training_episodes_are_named(
         assert "stop: warning: trained on 1 of the 3 evaluated episodes (training digest" in text
         assert "1 of train_id are among the 3 episodes" in text
     assert Evaluation.model_validate_json((tmp_path / "results.json").read_bytes()).policies[0].training == overlap
+
+
+def test_latency_moves_the_world_with_the_former_command(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    names = [f"{MINE}:{name}" for name in ("TellsSteps", "ThinksAndTellsSteps")]
+    told, rows = {}, {}
+    for latency in (None, 100.0, "real"):
+        campaign = campaign_of(drives, short(specs, 60).only(None, 1), *names)
+        setup = campaign.setup.model_copy(update={"latency": latency})
+        campaign = dataclasses.replace(campaign, setup=setup)
+        found = drive(tmp_path / str(latency), campaign)
+        told[latency] = [json.loads(found[name][0].detail.partition(": ")[2].partition(" (")[0]) for name in names]
+        rows[latency] = found[names[0]]
+    assert told[None] == [[0, 2, 4, 6]] * 2
+    assert told[100.0] == [[0, 2, 6, 10]] * 2  # two steps of 50 ms while the second and the third answer are awaited
+    assert all(later - former >= 6 for former, later in itertools.pairwise(told["real"][1][1:]))  # 4 for 0.2 s
+    assert told["real"][1][1] == 2
+    assert rows[100.0][0].trajectory_length_m > rows[None][0].trajectory_length_m
+    with pytest.raises(UsageError, match="no original episode in common"):
+        compare(rows[None], rows[100.0], Variant.ORIGINAL)
+    with pytest.raises(UsageError, match=r"another evaluation \(latency 100\.0, now None\)"):
+        Store(
+            tmp_path / "100.0", campaign.specs, read_manifest(tmp_path / "100.0").model_copy(update={"latency": None})
+        )
+
+
+def test_the_results_state_the_latency(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    remarks = []
+    for latency in (250.0, "real"):
+        campaign = campaign_of(drives, short(specs, 4), "stop")
+        campaign = dataclasses.replace(campaign, setup=campaign.setup.model_copy(update={"latency": latency}))
+        with open_store(tmp_path / str(latency), campaign) as store:
+            run_campaign(campaign, store, threading.Event(), lambda _pace: None)
+            evaluation = evaluation_of(campaign, store)
+        assert evaluation.latency == latency
+        remarks.append(" ".join(evaluation.remarks))
+    assert "takes 250 ms" in remarks[0]
+    assert "not reproducible" not in remarks[0]
+    assert "these results are not reproducible" in remarks[1]
+
+
+def test_a_good_server_logs_no_error_at_the_end_of_an_evaluation(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    command = [sys.executable, str(EXAMPLES / "policy_server.py"), "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline().split()[-1]
+            found = drive(tmp_path, campaign_of(drives, short(specs, 8), address, processes=2))
+            assert [row.end for row in found[address]] == [EvalEnd.TIMEOUT] * 3
+        finally:
+            process.terminate()
+            errors = process.communicate()[1]
+    assert errors == ""

@@ -28,6 +28,7 @@ from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
 from factory.train.options import BcOptions
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import install_command
+from schemas.terms import Recording
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import open_store
 from tests.builders.needs_torch import needs_torch
@@ -254,19 +255,23 @@ def test_the_command_prints_its_report_and_resumes(root: Path, tmp_path: Path) -
 
 
 @needs_torch
-def test_an_evaluation_counts_the_episodes_that_the_policy_was_trained_on(drives: Dataset, tmp_path: Path) -> None:
-    train(drives.root, tmp_path / "out", options(epochs=1))
-    specs = specs_of_dataset(drives, splits_of(drives, ()))
+def test_an_evaluation_counts_the_episodes_that_the_policy_was_trained_on(
+    recordings: dict[Recording, Path], tmp_path: Path
+) -> None:
+    dataset = Dataset(recordings[Recording.FRAMES])
+    (seen,) = dataset.filter(target=dataset.column("target_id").to_pylist()[0]).column("episode_id").to_pylist()
+    order = TrainOrder(dataset.filter(episode=seen), tmp_path / "out", options(epochs=1), device="cpu")
+    train_bc(order, TrainCallbacks(lambda *_: None, lambda *_: None, lambda _: None, lambda: False))
+    specs = specs_of_dataset(dataset, splits_of(dataset, ()))
     task = specs.settings.task.model_copy(update={"max_steps": 3})
     specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
-    campaign = Campaign(
-        specs, drives.root, (f"bc:{tmp_path / 'out'}",), (Variant.ORIGINAL,), EvalSetup(settings=specs.settings)
-    )
+    setup, name = EvalSetup(settings=specs.settings), f"bc:{tmp_path / 'out'}"
+    campaign = Campaign(specs, dataset.root, (name,), (Variant.ORIGINAL,), setup)
     with open_store(tmp_path / "results", campaign) as store:
         assert run_campaign(campaign, store, threading.Event(), lambda _pace: None)
-        rows = store.results(campaign.policies[0])
+        rows = store.results(name)
         (policy,) = evaluation_of(campaign, store).policies
-    assert [row.trained_on for row in rows] == [row.split == "train_id" for row in rows]
+    assert [row.trained_on for row in rows] == [row.spec_id == seen for row in rows]
     assert policy.training is not None
-    assert (policy.training.trained_on, policy.training.episodes) == (1, 3)
-    assert policy.training.train_digest == drives.filter(split="train_id").digest
+    assert (policy.training.trained_on, policy.training.episodes) == (1, 2)
+    assert policy.training.train_digest == dataset.filter(episode=seen).digest

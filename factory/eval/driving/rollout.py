@@ -5,6 +5,7 @@ Starts no processes and writes no files.
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections.abc import Iterator
@@ -35,16 +36,20 @@ from factory.eval.driving.policy import (
 )
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalRequest, EvalTask
-from factory.eval.models.result import EpisodeResult, EvalEnd
+from factory.eval.models.result import REAL, EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
 from schemas.measure import Goal
 from schemas.rig import Rig
 from schemas.support.geometry import footprint_distances
 from workers.experts.observation import Observation
+from workers.geometry.slew import Twist
 from workers.sim.context import LoadedScene
 
 TRACK_HZ = 10
+_REST = Twist(0.0, 0.0)
+_STEP_SLACK = 1e-6
+"""Rounding error of a latency in control periods, of which each begun one counts."""
 
 
 class PolicyCallObserver(Protocol):
@@ -91,6 +96,8 @@ class _EpisodeRun:
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
+    held: Twist = _REST
+    """Last twist that the policy requested, which the robot keeps while the policy thinks."""
 
     sensors: RigSensors | None = None
     """Sensors of the rig; `None` without a rig."""
@@ -138,14 +145,37 @@ class _EpisodeRun:
     def _act_once(self, view: Observation) -> Observation:
         """Calls `act` once and executes the returned actions."""
         observation = self._observation(view)
+        before_s = self.act_s
         with self._policy_call(view):
             answer = self.policy.act(observation)
         self.answers += 1
+        view = self._wait(view, self.act_s - before_s)
+        if view.end is not None:
+            return view
         robot = self.simulator.settings.robot
         chunk = read_actions(answer, kind_of_actions(self.policy), robot.max_speed_mps, robot.max_yaw_rate_rps)
         self.clipped += chunk.beyond
         for twist in chunk.twists:
-            view = self.simulator.step(twist)
+            view, self.held = self.simulator.step(twist), twist
+            if view.end is not None:
+                break
+        return view
+
+    def _wait(self, view: Observation, thought_s: float) -> Observation:
+        """Moves the world for the latency of an answer, with the former command, and returns the view.
+
+        The first answer of an episode takes no time, because the episode begins with the first action.
+
+        Args:
+            view: Current view.
+            thought_s: Measured time of the answer, seconds.
+        """
+        latency = self.task.setup.latency
+        if latency is None or self.answers == 1:
+            return view
+        seconds = thought_s if latency == REAL else latency / 1000
+        for _ in range(math.ceil(seconds * self.simulator.settings.task.control_hz - _STEP_SLACK)):
+            view = self.simulator.step(self.held)
             if view.end is not None:
                 break
         return view

@@ -11,7 +11,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from factory.eval.models.result import EpisodeResult, TrainingNote, Variant
+from factory.eval.models.result import EpisodeResult, Latency, TrainingNote, Variant
 from factory.eval.models.spec import EvalSettings, EvalSpec
 from schemas.base import Model, Name, Positive, Sha256
 from schemas.terms import RendererKind
@@ -52,6 +52,10 @@ class PolicyLimits(Model):
 
 class EvalSetup(PolicyLimits):
     """Settings of all tasks of a campaign."""
+
+    latency: Latency | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Time that passes in the simulation while the policy thinks: milliseconds, or `real` for the measured time. `None`
+    and omitted if the simulation waits for the policy."""
 
     settings: EvalSettings
     renderer: RendererKind = "auto"

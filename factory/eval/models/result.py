@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -38,6 +38,12 @@ class EvalEnd(StrEnum):
     @property
     def is_of_the_policy(self) -> bool:
         return self.value.startswith("policy_")
+
+
+REAL: Final = "real"
+MAX_LATENCY_MS = 60_000.0
+Latency = Literal["real"] | Annotated[float, Field(ge=0, le=MAX_LATENCY_MS)]
+"""Time that passes in the simulation for each answer of a policy: milliseconds, or `real` for the measured time."""
 
 
 class TrainingNote(Model):
@@ -113,6 +119,14 @@ class EpisodeResult(Model):
     def key(self) -> tuple[str, Variant, str]:
         """Key among the results of its policy, equal to the key of its request."""
         return self.spec_id, self.variant, self.instruction
+
+    @property
+    def oracle_success(self) -> bool:
+        """Whether the robot was within the success radius at any time (oracle success of VLN-CE).
+
+        Without a goal, which is the case for a false premise, it is the success.
+        """
+        return self.progress_normalised >= 1.0
 
     @property
     def is_grounded(self) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+import weakref
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -96,6 +97,15 @@ def _msgpack() -> Any:
     return msgpack
 
 
+_OPEN: weakref.WeakSet[RemotePolicy] = weakref.WeakSet()
+
+
+def close_connections() -> None:
+    """Closes the connections of this process, so that no server logs the end of an evaluation as an error."""
+    for policy in list(_OPEN):
+        policy.close()
+
+
 class RemotePolicy:
     """Policy that requests each action from a server.
 
@@ -111,6 +121,7 @@ class RemotePolicy:
         self._has_answered = False
         """Whether this connection has received a reply; the first reply has a longer timeout."""
         self._held = ExitStack()
+        _OPEN.add(self)
         self._connect(min(limits.reconnect_s, limits.load_timeout_s))
 
     @property

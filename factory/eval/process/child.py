@@ -31,6 +31,7 @@ from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies.made_from import hashes_of
 from factory.eval.policies.registry import describe_knowledge, file_of, make_policy, require_inputs
+from factory.eval.policies.remote import close_connections
 from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
@@ -48,7 +49,7 @@ def main() -> int:
     faulthandler.enable()
     shared = SharedStatus(arguments.status)
     out = take_stdout()
-    lines = listen(0)
+    lines = listen(0, close_connections)
 
     def tell(report: EvalReport) -> None:
         out.write(to_line(report))

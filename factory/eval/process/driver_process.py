@@ -36,6 +36,8 @@ or computing metrics."""
 _GRACE_S = 5.0
 """Additional time before a process with a policy on a server is killed, seconds. Such a policy enforces its time limit
 itself."""
+_LEAVE_S = 2.0
+"""Time for a process to close the connection to its policy server, seconds."""
 _MOST_OUTPUT_CHARS = 300
 
 
@@ -55,7 +57,7 @@ class DriverProcess:
     def __init__(self) -> None:
         self._setup: EvalSetup | None = None
         self._renders_apart = False
-        self._process = ChildProcess(read_report)
+        self._process = ChildProcess(read_report, leave_s=_LEAVE_S)
         self._status: SharedStatus | None = None
         self.current: EvalTask | None = None
         """Task in progress; `None` without one."""

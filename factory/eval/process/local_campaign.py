@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask
-from factory.eval.models.result import EpisodeResult
+from factory.eval.models.result import REAL, EpisodeResult
 from factory.eval.policies.made_from import another_policy
 from factory.eval.policies.registry import note_of, renders_apart
 from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
@@ -154,6 +154,8 @@ class _PolicyCampaign:
         The built-in policies without a network keep no state, and the state of a server is out of reach.
         """
         note = self._store.note_of(self._policy)
+        if self._campaign.setup.latency == REAL:
+            return  # the measured times differ
         if self._repeatable is None or not renders_apart(self._policy) or note is None:
             return
         (task, former), driver = self._repeatable, self._drivers[0]

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from factory.dataset.reader import Dataset
-from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.models.result import REAL, EpisodeResult, Variant
 from factory.eval.models.spec import EvalSpec
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.estimate import FEW
@@ -108,6 +108,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         episodes=len(campaign.specs.specs),
         success=campaign.specs.settings.task.success,
         success_radius_m=campaign.specs.settings.task.success_radius_m,
+        latency=campaign.setup.latency,
         view=campaign.setup.view,
         complete=is_complete,
         policies=tuple(scores),
@@ -169,6 +170,12 @@ def _remarks(campaign: Campaign) -> list[str]:
             f"{' and '.join(trained)} are among the {len(specs)} episodes: a policy that was trained or selected on "
             "this dataset knows them; the default is the test splits only"
         )
+    if (latency := campaign.setup.latency) is not None:
+        taken = "the measured time, so these results are not reproducible" if latency == REAL else f"{latency:g} ms"
+        remarks.append(
+            f"latency: each answer of a policy after the first of an episode takes {taken}; the robot keeps its former "
+            "command meanwhile. Results with another latency are not comparable"
+        )
     if campaign.setup.view != ViewSettings():
         remarks.append(f"view of the policies: {campaign.setup.view.describe()}")
     if moved:
@@ -190,7 +197,7 @@ def _write(path: Path, data: bytes) -> None:
 
 def _flat(row: EpisodeResult) -> dict[str, object]:
     """Returns the row with its track as three list columns."""
-    data = row.model_dump(mode="json", exclude={"track"})
+    data = row.model_dump(mode="json", exclude={"track"}) | {"oracle_success": row.oracle_success}
     for number, name in enumerate(("track_x_m", "track_y_m", "track_yaw_rad")):
         data[name] = [pose[number] for pose in row.track]
     return data

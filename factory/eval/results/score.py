@@ -13,7 +13,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
+from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Latency, Variant
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.estimate import NO_VALUES, Bounds, IntervalEstimate, difference_of_shares, mcnemar_p, means_of
 from factory.stats.measures import share_of
@@ -98,6 +98,7 @@ DIFFERENCE_BOUNDS: Mapping[str, Bounds] = MappingProxyType(
     {name: (low - high, high - low) for name, (low, high) in BOUNDS.items() if math.isfinite(high)}
 )
 """Smallest and largest value of paired differences of these measures."""
+NO_SHARE = Share(count=0, of=0, share=None, low=None, high=None)
 ALL = "all"
 GROUNDED = "two or more categories in view"
 
@@ -111,6 +112,8 @@ class Score(Model):
     n: Annotated[int, Field(ge=0)]
     success: Share
     """SR: share of episodes that stopped within the success radius of the target."""
+    oracle_success: Share = NO_SHARE
+    """Share of episodes in which the robot was within the success radius of the target at any time."""
     any_instance: Share
     """SR if every object of the target's category counts as the target."""
     collision: Share
@@ -215,6 +218,8 @@ class Evaluation(Model):
     success_radius_m: float
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
     """View settings of the observations; omitted for the recorded camera."""
+    latency: Latency | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Time that passes in the simulation for each answer of a policy; `None` and omitted if the simulation waits."""
     complete: bool
     """Whether every episode of every policy is finished."""
     policies: tuple[PolicyScores, ...]
@@ -251,16 +256,18 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
         note: Metadata of the policy.
     """
     original = [row for row in results if row.variant is Variant.ORIGINAL]
+    # the measures of a policy that failed in every episode describe its faults, not the policy
+    is_evaluated = not original or any(not row.end.is_of_the_policy for row in original)
     return PolicyScores(
         policy=policy,
         knows=note.knows,
         reads_instruction=note.reads_instruction,
-        overall=score(ALL, ALL, original),
-        groups=tuple(_grouped(original)),
+        overall=score(ALL, ALL, original, is_evaluated),
+        groups=tuple(_grouped(original, is_evaluated)),
         ends=dict(sorted(Counter(row.end for row in original).items())),
         made_from=note.made_from,
         faults=faults_of(results),
-        ablation=tuple(_ablations(results)),
+        ablation=tuple(_ablations(results)) if is_evaluated else (),
         act_ms=sum(row.act_ms for row in original) / len(original) if original else None,
     )
 
@@ -275,18 +282,28 @@ def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[st
                     yield name, policy, group
 
 
-def score(by: str, group: str, rows: Sequence[EpisodeResult]) -> Score:
+def score(by: str, group: str, drives: Sequence[EpisodeResult], has_measures: bool = True) -> Score:
+    """Returns the metrics of a group of episodes.
+
+    Args:
+        by: Kind of group.
+        group: Name of the group.
+        drives: Results of the group.
+        has_measures: Whether the policy was evaluated; otherwise only the policy failures are counted.
+    """
+    rows = drives if has_measures else ()
     means = means_of({name: [getattr(row, field) for row in rows] for name, field in MEANS.items()}, BOUNDS)
     steps = sum(row.num_steps for row in rows)
     return Score(
         by=by,
         group=group,
-        n=len(rows),
+        n=len(drives),
         success=_share(rows, lambda row: row.success),
+        oracle_success=_share(rows, lambda row: row.oracle_success),
         any_instance=_share(rows, lambda row: row.any_instance),
         collision=_share(rows, lambda row: row.end is EvalEnd.COLLISION),
         timeout=_share(rows, lambda row: row.end is EvalEnd.TIMEOUT),
-        policy_failure=_share(rows, lambda row: row.end.is_of_the_policy),
+        policy_failure=_share(drives, lambda row: row.end.is_of_the_policy),
         contact=_share(rows, lambda row: row.contact_steps > 0),
         clipped=min(1.0, sum(row.clipped_actions for row in rows) / steps) if steps else None,
         **means,
@@ -297,13 +314,13 @@ def _share(rows: Sequence[EpisodeResult], holds: Callable[[EpisodeResult], bool]
     return share_of(sum(map(holds, rows)), len(rows))
 
 
-def _grouped(rows: Sequence[EpisodeResult]) -> Iterator[Score]:
+def _grouped(rows: Sequence[EpisodeResult], has_measures: bool) -> Iterator[Score]:
     for by, (name_of, order) in _KEYS.items():
         groups: dict[str, list[EpisodeResult]] = {}
         for row in rows:
             groups.setdefault(name_of(row), []).append(row)
         for name in _ordered(groups, order):
-            yield score(by, name, groups[name])
+            yield score(by, name, groups[name], has_measures)
 
 
 def _ordered(names: Iterable[str], order: Sequence[str]) -> list[str]:

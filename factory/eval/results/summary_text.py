@@ -77,7 +77,8 @@ def fault_lines(policy: PolicyScores) -> list[str]:
 
     Warnings are an overlap of training and evaluation, and many clipped actions.
     """
-    lines = [
+    lines = [f"{policy.policy}: not evaluated, because it failed in every episode"] if policy.only_failed else []
+    lines += [
         f"{policy.policy}: {fault.drives} of {fault.of} episodes ended with {fault.end}, first {fault.first}: "
         f"{fault.detail}"
         for fault in policy.faults

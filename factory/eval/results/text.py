@@ -25,7 +25,7 @@ _WIDTH = 80
 """Width of the tables without a terminal, too, characters; wider tables are printed in pieces."""
 _MEANS = ("spl", "ne_m", "soft_spl", "progress_max")
 _HEAD = (
-    *("n", "SR, %"),
+    *("n", "SR, %", "oracle success, %"),
     *(TITLES[name] for name in _MEANS),
     *("any instance, %", "collision, %", "timeout, %", "policy failure, %"),
 )
@@ -94,6 +94,7 @@ def _cells(score: Score) -> tuple[object, ...]:
     return (
         score.n,
         _share(score.success),
+        _share(score.oracle_success),
         *(_estimate(getattr(score, name)) for name in _MEANS),
         _share(score.any_instance),
         _plain(score.collision),

@@ -177,7 +177,7 @@ def tasks_for(campaign: Campaign, policy: str, places: LoadedScenes, first: int 
                     policy=policy,
                     request=EvalRequest(
                         spec=spec,
-                        spec_digest=specs.spec_digest(spec),
+                        spec_digest=specs.spec_digest(spec, campaign.setup.latency),
                         instruction=words[spec.spec_id],
                         variant=variant,
                         recorded=recorded.get(spec.spec_id),
