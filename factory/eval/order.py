@@ -134,6 +134,8 @@ def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
 
         def show(pace: Pace) -> None:
             note = f"{pace.successes} succeeded"
+            if pace.waiting:
+                bar.console.print(f"{pace.policy}: {pace.waiting}")
             bar.update(tasks[pace.policy], completed=pace.done, total=pace.total, note=note)
 
         yield show

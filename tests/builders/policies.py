@@ -84,6 +84,15 @@ class ThinksAndTellsSteps(TellsSteps):
         return super().act(observation)
 
 
+class LoadsSlowly(_Quiet):
+    """Does not move; its first answer takes three seconds."""
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        if observation["step"] == 0:
+            time.sleep(3.0)
+        return 0.0, 0.0
+
+
 class Dies(_Quiet):
     """Ends its process."""
 

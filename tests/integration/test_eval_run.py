@@ -352,3 +352,25 @@ def test_a_good_server_logs_no_error_at_the_end_of_an_evaluation(
             process.terminate()
             errors = process.communicate()[1]
     assert errors == ""
+
+
+def test_a_long_wait_is_shown_with_its_limit_and_limits_are_in_the_results(
+    drives: Dataset, specs: SpecSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"{MINE}:LoadsSlowly"
+    campaign = campaign_of(drives, short(specs, 7).only(None, 1), name)
+    waits = []
+    with open_store(tmp_path, campaign) as store:
+        assert run_campaign(campaign, store, threading.Event(), lambda pace: waits.append(pace.waiting))
+        assert [wait for wait in waits if wait] == [
+            "waiting for loading, reset or first answer, at most 300 s (--load-timeout)"
+        ]
+        publish(campaign, store, 0)
+        print_evaluation(evaluation_of(campaign, store))
+    said = (
+        "7 steps (0.35 s) for an episode; 2 s for an answer; 300 s for loading a policy, a reset and the first answer"
+    )
+    assert f"limits: {said}" in " ".join(capsys.readouterr().out.split())
+    assert f"Limits: {said}." in (tmp_path / "index.html").read_text()
+    limits = json.loads((tmp_path / "results.json").read_text())["limits"]
+    assert limits == {"max_steps": 7, "control_hz": 20, "act_timeout_s": 2.0, "load_timeout_s": 300.0}

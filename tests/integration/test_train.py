@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
@@ -24,11 +25,14 @@ from factory.eval.process.local_campaign import run_campaign
 from factory.eval.results.publish import evaluation_of
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
-from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
+from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, is_better, train_bc
+from factory.train.checkpoint import read_checkpoint
+from factory.train.curve import write_curve
+from factory.train.measures import EpochMeasures, TrainReport
 from factory.train.options import BcOptions
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import install_command
-from schemas.terms import Recording
+from schemas.terms import Recording, Split
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import open_store
 from tests.builders.needs_torch import needs_torch
@@ -275,3 +279,53 @@ def test_an_evaluation_counts_the_episodes_that_the_policy_was_trained_on(
     assert policy.training is not None
     assert (policy.training.trained_on, policy.training.episodes) == (1, 2)
     assert policy.training.train_digest == dataset.filter(episode=seen).digest
+
+
+def epoch_of(number: int, val_loss: float | None) -> EpochMeasures:
+    values = dict.fromkeys(("val_v_mps", "val_w_rps", "stop_precision", "stop_recall", "pointing"))
+    return EpochMeasures(epoch=number, train_loss=1 / number, val_loss=val_loss, rate=0.001, seconds=1.0, **values)
+
+
+@pytest.mark.parametrize(
+    ("losses", "kept"), [((0.3, 0.1, 0.2), 2), ((0.2, 0.1, 0.1), 2), ((None, None, None), 3), ((0.1, 0.2, 0.3), 1)]
+)
+def test_the_epoch_with_the_smallest_validation_loss_is_kept(losses: tuple[float | None, ...], kept: int) -> None:
+    best: EpochMeasures | None = None
+    for number, loss in enumerate(losses, 1):
+        new = epoch_of(number, loss)
+        best = new if is_better(new, best) else best
+    assert best is not None
+    assert best.epoch == kept
+
+
+def test_the_curve_is_a_picture_and_on_a_page_with_the_next_commands(tmp_path: Path) -> None:
+    epochs = tuple(epoch_of(number, loss) for number, loss in ((1, 0.3), (2, 0.125), (3, 0.2)))
+    numbers = dict.fromkeys(("parameters", "train_episodes", "train_frames", "val_episodes", "val_frames"), 4)
+    report = TrainReport(
+        out="bc", finished=True, options=BcOptions(epochs=3), device="cpu", epochs=epochs, policy_epoch=2, **numbers
+    )
+    write_curve(tmp_path, report, ["factory eval 'my data' --policy bc:bc"])
+    with Image.open(tmp_path / "curve.png") as picture:
+        assert picture.size[0] > 800
+        assert len(set(picture.convert("RGB").getdata())) > 50
+    page = (tmp_path / "index.html").read_text()
+    assert "the policy has the weights of epoch 2 of 3, with the smallest validation loss (0.125)" in page
+    assert page.count("<svg") == 3
+    assert "2 (policy)" in page
+    assert "factory eval &#39;my data&#39; --policy bc:bc" in page
+
+
+@needs_torch
+def test_the_policy_has_the_weights_of_its_epoch_also_after_an_interruption(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data", 4, splits=(Split.TRAIN_ID, Split.VAL_ID))
+    chosen = options(epochs=6, peak_rate=0.1)
+    for stop_after in (3, 99):
+        train(tmp_path / "data", tmp_path / "out", chosen, stop_after)
+    report = TrainReport.model_validate_json((tmp_path / "out" / "metrics.json").read_bytes())
+    losses = [epoch.val_loss for epoch in report.epochs]
+    assert None not in losses
+    assert report.policy_epoch == 1 + losses.index(min(losses))
+    train(tmp_path / "data", tmp_path / "until", chosen, report.policy_epoch)
+    one, two = weights(tmp_path / "out"), weights(tmp_path / "until")
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+    assert read_checkpoint(tmp_path / "out").meta.epochs_done == report.policy_epoch

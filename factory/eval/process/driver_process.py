@@ -41,6 +41,21 @@ _LEAVE_S = 2.0
 _MOST_OUTPUT_CHARS = 300
 
 
+class Waiting(NamedTuple):
+    """Wait of a driver process for its policy."""
+
+    is_first: bool
+    """Whether it waits for the creation, a reset or the first answer, otherwise for another answer."""
+    seconds: float
+    limit_s: float
+
+    @property
+    def description(self) -> str:
+        if self.is_first:
+            return f"waiting for loading, reset or first answer, at most {self.limit_s:g} s (--load-timeout)"
+        return f"waiting for an answer, at most {self.limit_s:g} s (--act-timeout)"
+
+
 class DriverEnded(NamedTuple):
     """End of a driver process, which has been reaped."""
 
@@ -66,6 +81,18 @@ class DriverProcess:
         the hashes of what it consists of, and its training."""
         self.renderer = ""
         """Description of the renderer; empty until the process reports it."""
+
+    @property
+    def waiting(self) -> Waiting | None:
+        """What the process waits for, if it waits for the policy; `None` otherwise."""
+        if self._status is None or self.current is None:
+            return None
+        state, setup = self._status.read(), self.current.setup
+        if state.busy not in {Activity.MAKING, Activity.ASKING}:
+            return None
+        is_first = state.busy is Activity.MAKING
+        limit_s = setup.load_timeout_s if is_first else setup.act_timeout_s
+        return Waiting(is_first, time.monotonic() - state.since_s, limit_s)
 
     @property
     def pid(self) -> int | None:

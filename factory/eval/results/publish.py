@@ -15,7 +15,7 @@ from factory.eval.models.spec import EvalSpec
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.estimate import FEW
 from factory.eval.results.page import FailureExample, write_page
-from factory.eval.results.score import Evaluation, TrainingOverlap, score_policy
+from factory.eval.results.score import EvalLimits, Evaluation, TrainingOverlap, score_policy
 from factory.eval.results.store import Store
 from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_poster
 from factory.eval.specs.campaign import Campaign
@@ -108,6 +108,12 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         episodes=len(campaign.specs.specs),
         success=campaign.specs.settings.task.success,
         success_radius_m=campaign.specs.settings.task.success_radius_m,
+        limits=EvalLimits(
+            max_steps=campaign.specs.settings.task.max_steps,
+            control_hz=campaign.specs.settings.task.control_hz,
+            act_timeout_s=campaign.setup.act_timeout_s,
+            load_timeout_s=campaign.setup.load_timeout_s,
+        ),
         latency=campaign.setup.latency,
         view=campaign.setup.view,
         complete=is_complete,

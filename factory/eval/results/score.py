@@ -18,7 +18,7 @@ from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.estimate import NO_VALUES, Bounds, IntervalEstimate, difference_of_shares, mcnemar_p, means_of
 from factory.stats.measures import share_of
 from factory.stats.statistics import Share
-from schemas.base import Fraction, Model, Name, Sha256
+from schemas.base import Fraction, Model, Name, Positive, Sha256
 from schemas.instruction.templates import TEMPLATES
 from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier, family_of
 from schemas.view import ViewSettings
@@ -203,6 +203,25 @@ class PolicyScores(Model):
         return 0 < self.overall.n == self.overall.policy_failure.count
 
 
+class EvalLimits(Model):
+    """Limits of the episodes and of the policies."""
+
+    max_steps: Annotated[int, Field(ge=1)]
+    """Step limit of an episode."""
+    control_hz: Annotated[int, Field(ge=1)]
+    act_timeout_s: Positive
+    """Time limit of an answer, seconds."""
+    load_timeout_s: Positive
+    """Time limit of the creation of a policy, of a reset, and of the first answer, seconds."""
+
+    def describe(self) -> str:
+        return (
+            f"{self.max_steps} steps ({self.max_steps / self.control_hz:.3g} s) for an episode; "
+            f"{self.act_timeout_s:g} s for an answer; "
+            f"{self.load_timeout_s:g} s for loading a policy, a reset and the first answer"
+        )
+
+
 class Evaluation(Model):
     """Content of `results.json`."""
 
@@ -218,6 +237,8 @@ class Evaluation(Model):
     success_radius_m: float
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
     """View settings of the observations; omitted for the recorded camera."""
+    limits: EvalLimits | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Limits of the evaluation; `None` in results of older versions."""
     latency: Latency | None = Field(default=None, exclude_if=lambda it: it is None)
     """Time that passes in the simulation for each answer of a policy; `None` and omitted if the simulation waits."""
     complete: bool

@@ -43,6 +43,8 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
         f"{evaluation.episodes} episodes: {evaluation.source}; "
         f"success radius {evaluation.success_radius_m:g} m by {evaluation.success}"
     )
+    if evaluation.limits is not None:
+        print_text(f"limits: {evaluation.limits.describe()}")
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
     print_table("\nAll episodes", ("policy", *_HEAD), rows, widest=_WIDTH)
     for by, title in GROUPS.items():
