@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving import measure
-from factory.eval.driving.live_view import RigSensors, SensorArrays, live_appearance, live_arrays, require_live
+from factory.eval.driving.live_view import (
+    RigSensors,
+    SensorArrays,
+    live_appearance,
+    live_arrays,
+    live_state,
+    require_live,
+)
 from factory.eval.driving.measure import odometry
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import EvalSpec, SpecSet, read_specs
@@ -32,6 +39,7 @@ from schemas.errors import UsageError
 from schemas.rig import Rig
 from schemas.rig.rig_file import load_rig
 from schemas.storage.place import Place, place_of
+from schemas.support.geometry import STATE_NAMES
 from schemas.support.suggest import did_you_mean
 from schemas.terms import EndReason, RendererKind, Split
 from schemas.tokens import GRID_POINTS, actions_of
@@ -119,8 +127,9 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
     """Gymnasium environment: drive to the object named in the instruction and stop within the success radius.
 
     Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) float32 metres, 0 where the ray hits nothing;
-    `instruction`, in the form given by the argument of that name; and, if `with_pose` is set, `pose`: x, y in metres
-    and yaw in radians in the frame of the start pose.
+    `state` (5,) float32: x, y in metres and unwrapped yaw in radians in the frame of the start pose, measured v in m/s
+    and w in rad/s, as `observation.state` of exports; `instruction`, in the form given by the argument of that name;
+    and, if `with_pose` is set, `pose`: x, y in metres and yaw in radians in the frame of the start pose.
 
     With `rig`, the latest measurement of each of its sensors replaces `rgb` and `depth`, with the key `SENSOR/ARRAY`,
     such as `front/rgb` or `scan/ranges` (docs/rigs.md#policies).
@@ -153,6 +162,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         vocabulary: Sequence[str] | None = None,
         rig: str | Path | Rig | None = None,
         appearance: str | Path | Appearance | None = None,
+        with_state: bool = True,
     ) -> None:
         """Starts the rendering process; scenes are loaded when an episode needs them.
 
@@ -174,6 +184,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             rig: Sensors of the robot: a rig, the name of a built-in one, or a TOML file. `None` is the recorded camera.
             appearance: Appearance of the scenes, drawn for each episode: ranges, the name of a built-in appearance, or
                 a TOML file, without clutter. `None` shows the scenes as they were compiled.
+            with_state: Whether observations contain `state`.
 
         Raises:
             UsageError: `data` is missing, or the value of another argument is not valid.
@@ -185,7 +196,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self.render_mode = render_mode
         self.specs = specs_for(root, split, specs)
         self._by_id = {spec.spec_id: spec for spec in self.specs.specs}
-        self._actions, self._with_pose, self._size, self._instruction = actions, with_pose, size, instruction
+        self._actions, self._size, self._instruction = actions, size, instruction
+        self._with_pose, self._with_state = with_pose, with_state
         self.vocabulary: tuple[str, ...] = words_for(instruction, vocabulary, root)
         """Words by their index in `tokens`; empty for other kinds of instruction."""
         self.rig = None if rig is None else live_rig(rig, self.specs.settings.task.control_hz)
@@ -265,6 +277,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         words = instruction_space(self._instruction, self.vocabulary)
         if words is not None:
             members["instruction"] = words
+        if self._with_state:
+            members["state"] = spaces.Box(-_FAR_AWAY_M, _FAR_AWAY_M, (len(STATE_NAMES),), np.float32)
         if self._with_pose:
             reach = np.array((_FAR_AWAY_M, _FAR_AWAY_M, math.pi))
             members["pose"] = spaces.Box(-reach, reach, dtype=np.float64)
@@ -302,8 +316,9 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
 
     def _observe(self, view: Observation) -> GymObservation:
         observation: GymObservation
-        if self._sensors is not None:
-            observation = dict(flat(self._sensors.measure()))
+        sensors = None if self._sensors is None else self._sensors.measure()
+        if sensors is not None:
+            observation = dict(flat(sensors))
         else:
             is_whole = self._size == FRAME_SIZE_PX
             frame = view.frame if is_whole else self._simulator.shown.renderer.render(view.pose, self._size)
@@ -311,6 +326,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         if self._instruction != "none":
             spec = self._simulator.spec
             observation["instruction"] = encode_instruction(self._instruction, spec.instruction, self.vocabulary)
+        if self._with_state:
+            observation["state"] = live_state(self._simulator, self.rig, sensors)
         if self._with_pose:
             observation["pose"] = odometry(self._simulator.track)
         return observation

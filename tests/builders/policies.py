@@ -122,7 +122,8 @@ class ChecksInput(_Quiet):
     """Checks its input, does not move, and turns if the instruction is empty."""
 
     def act(self, observation: dict[str, Any]) -> Any:
-        assert set(observation) == {"rgb", "depth", "instruction", "step"}, sorted(observation)
+        assert set(observation) == {"rgb", "depth", "state", "instruction", "step"}, sorted(observation)
+        assert (observation["state"].shape, observation["state"].dtype) == ((5,), np.float32)
         assert observation["rgb"].shape == (640, 640, 3)
         assert observation["depth"].shape == (640, 640)
         assert observation["instruction"] == self.instruction

@@ -181,7 +181,7 @@ def test_a_policy_receives_only_camera_and_instruction_even_under_ablation(
     listens, stop = evaluation.policies
     assert evaluation.complete
     assert [row.variant for row in listens.ablation if row.by == "all"] == ["shuffled", "wrong", "empty"]
-    assert (listens.knows, stop.knows) == ("camera and instruction", "nothing")
+    assert (listens.knows, stop.knows) == ("camera, instruction and odometry", "nothing")
     assert not stop.reads_instruction
 
 

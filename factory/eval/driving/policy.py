@@ -1,6 +1,6 @@
 """Interface of policies: `reset` with an instruction at the start of an episode, then `act` for each action.
 
-A model receives camera images and the instruction only. This module runs no episodes.
+A model receives camera images, the instruction and odometry only. This module runs no episodes.
 """
 
 from __future__ import annotations
@@ -34,6 +34,10 @@ class PolicyInput(TypedDict):
     instruction: str
     step: int
     """Number of executed actions, from 0."""
+    state: NotRequired[NDArray[np.float32]]
+    """(5,) odometry and twist: x, y in metres and unwrapped yaw in radians of base_link in the frame of the start pose
+    (x forward, y left), then v in m/s and w in rad/s, measured over the last step. It has the names and the order of
+    `observation.state` in exports. Absent only for blind policies."""
     pose: NotRequired[NDArray[np.float64]]
     """(3,) pose of base_link in the frame of the start pose: x, y in metres, yaw in radians; only with `--pose`."""
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from factory.eval.driving import measure
 from factory.eval.driving.action import read_actions
-from factory.eval.driving.live_view import RigSensors, shows_recorded_camera
+from factory.eval.driving.live_view import RigSensors, live_state, shows_recorded_camera
 from factory.eval.driving.measure import odometry, yaws_of
 from factory.eval.driving.policy import (
     EpisodeInfo,
@@ -189,6 +189,7 @@ class _EpisodeRun:
             seen |= {"rgb": view.frame.rgb, "depth": view.frame.depth}
         if self.sensors is not None:
             seen["sensors"] = self.sensors.measure()
+        seen["state"] = live_state(self.simulator, self.rig, seen.get("sensors"))
         if self.request.with_pose:
             seen["pose"] = odometry(self.simulator.track)
         return seen

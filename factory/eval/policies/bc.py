@@ -51,6 +51,7 @@ class BcPolicy:
         name: Training folder, or its `policy.pt`.
     """
 
+    knows: ClassVar[str] = "camera and instruction"
     needs: ClassVar[tuple[str, ...]] = ("rgb", "depth")
     """Inputs without which the policy is refused."""
 

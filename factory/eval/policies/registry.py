@@ -231,7 +231,7 @@ def require_inputs(name: str, policy: Policy, rig: Rig | None, camera: CameraCon
     Raises:
         UsageError: An input is missing.
     """
-    given = ["rgb", "depth"] if shows_recorded_camera(rig, camera) else []
+    given = ["state", *(("rgb", "depth") if shows_recorded_camera(rig, camera) else ())]
     for sensor in rig.sensors if rig else ():
         given += [sensor.name, *(f"{sensor.name}/{array}" for array in live_arrays(sensor))]
     missing = [need for need in needs_of(policy) if need not in given]
@@ -258,7 +258,7 @@ def file_of(name: str) -> Path | None:
 
 def describe_knowledge(policy: Policy) -> str:
     """Returns a description of the information that a policy uses, for the results."""
-    return policy.knows if isinstance(policy, BlindPolicy) else "camera and instruction"
+    return policy.knows if isinstance(policy, BlindPolicy | BcPolicy) else "camera, instruction and odometry"
 
 
 def _expert_name(rest: str) -> ExpertName:

@@ -109,9 +109,9 @@ def close_connections() -> None:
 class RemotePolicy:
     """Policy that requests each action from a server.
 
-    A request contains `rgb`, `depth`, `prompt` (the instruction), `step` (0 starts an episode), `episode` and `seed`,
-    with `--pose` also `pose`, and with a rig `sensors` (maps of arrays by sensor). The reply contains `actions` (v, w)
-    or `tokens`, of shape (2,) or as a chunk (H, 2).
+    A request contains `rgb`, `depth`, `state`, `prompt` (the instruction), `step` (0 starts an episode), `episode` and
+    `seed`, with `--pose` also `pose`, and with a rig `sensors` (maps of arrays by sensor). The reply contains `actions`
+    (v, w) or `tokens`, of shape (2,) or as a chunk (H, 2).
     """
 
     def __init__(self, address: str, limits: PolicyLimits) -> None:

@@ -182,7 +182,7 @@ class PolicyScores(Model):
 
     policy: str
     knows: str
-    """Information used by the policy; models use camera and instruction only."""
+    """Information used by the policy; models use camera, instruction and odometry only."""
     reads_instruction: bool
     """Whether the policy uses the instruction; otherwise the other variants are not run."""
     overall: Score
