@@ -60,10 +60,15 @@ def _panels(report: TrainReport) -> list[Panel]:
     losses = {"training": "train_loss", "validation": "val_loss"}
     errors = {"v, m/s": "val_v_mps", "w, rad/s": "val_w_rps"}
     shares = {"pointing": "pointing", "stop precision": "stop_precision", "stop recall": "stop_recall"}
+    drawings = (
+        ("losses", "Losses by epoch", losses, "loss"),
+        ("errors", "Validation errors by epoch", errors, "mean absolute error"),
+        ("shares", "Pointing and stops by epoch", shares, "share of the frames"),
+    )
     return [
-        draw_panel("losses", "Losses by epoch", _lines(report, losses, "loss")),
-        draw_panel("errors", "Validation errors by epoch", _lines(report, errors, "mean absolute error")),
-        draw_panel("shares", "Pointing and stops by epoch", _lines(report, shares, "share of the frames")),
+        draw_panel(name, title, _lines(report, series, unit))
+        for name, title, series, unit in drawings
+        if any(getattr(epoch, field) is not None for epoch in report.epochs for field in series.values())
     ]
 
 

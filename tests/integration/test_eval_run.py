@@ -13,10 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.eval.driving.rollout import thin_track
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput
+from factory.eval.driving.rollout import run_episode, thin_track
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import EpisodeResult, EvalEnd, TrainingNote, Variant
@@ -28,10 +30,12 @@ from factory.eval.results.publish import evaluation_of, publish, training_overla
 from factory.eval.results.score import Evaluation
 from factory.eval.results.store import EvalManifest, Store, read_manifest
 from factory.eval.results.text import print_evaluation
-from factory.eval.specs.campaign import Campaign, playback_sources
+from factory.eval.specs.campaign import Campaign, playback_sources, tasks_for
 from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset, splits_of
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
+from workers.experts.observation import Observation
+from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.sim.context import SimulationContext
 
@@ -374,3 +378,52 @@ def test_a_long_wait_is_shown_with_its_limit_and_limits_are_in_the_results(
     assert f"Limits: {said}." in (tmp_path / "index.html").read_text()
     limits = json.loads((tmp_path / "results.json").read_text())["limits"]
     assert limits == {"max_steps": 7, "control_hz": 20, "act_timeout_s": 2.0, "load_timeout_s": 300.0}
+
+
+class CountsRenders:
+    """Observer of policy calls that counts the rendered frames."""
+
+    renders = 0
+
+    def before_call(self, simulator: Simulator, view: Observation) -> None: ...
+
+    def after_call(self) -> None: ...
+
+    def before_render(self) -> None:
+        self.renders += 1
+
+    def after_render(self) -> None: ...
+
+
+class LooksAtSome:
+    """Does not move; keeps all observations, and reads the images of every tenth."""
+
+    def reset(self, instruction: str, info: EpisodeInfo) -> None:
+        self.seen: list[PolicyInput] = []
+        self.images: dict[int, tuple[Any, Any]] = {}
+
+    def act(self, observation: PolicyInput) -> Any:
+        self.seen.append(observation)
+        if observation["step"] % 10 == 0:
+            self.images[observation["step"]] = observation["rgb"].copy(), observation["depth"].copy()
+        if observation["step"] == 25:
+            kept = self.seen[3]  # reads an image of an earlier step
+            self.images[3] = kept["rgb"].copy(), kept["depth"].copy()
+        return 0.0, 0.0
+
+
+def test_images_that_a_policy_does_not_read_are_not_rendered_and_others_equal_rendering(
+    drives: Dataset, specs: SpecSet
+) -> None:
+    campaign = campaign_of(drives, short(specs, 30).only(None, 1), f"{MINE}:Looks")
+    places, policy, observer = LoadedScenes(drives.root), LooksAtSome(), CountsRenders()
+    (task,) = tasks_for(campaign, campaign.policies[0], places)
+    loaded = places.load(task.request.spec.scene, task.request.spec.scene_sha256)
+    with SimulationContext() as stage, Simulator(stage, campaign.specs.settings) as simulator:
+        run_episode(task, policy, simulator, loaded, observer)
+        assert sorted(policy.images) == [0, 3, 10, 20]
+        assert observer.renders == 4
+        for step, (rgb, depth) in policy.images.items():
+            frame = simulator.shown.renderer.render(Pose(*simulator.track[step]))
+            np.testing.assert_array_equal(rgb, frame.rgb)
+            np.testing.assert_array_equal(depth, frame.depth)

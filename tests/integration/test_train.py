@@ -309,8 +309,8 @@ def test_the_curve_is_a_picture_and_on_a_page_with_the_next_commands(tmp_path: P
         assert picture.size[0] > 800
         assert len(set(picture.convert("RGB").getdata())) > 50
     page = (tmp_path / "index.html").read_text()
-    assert "the policy has the weights of epoch 2 of 3, with the smallest validation loss (0.125)" in page
-    assert page.count("<svg") == 3
+    assert "The policy has the weights of epoch 2 of 3, with the smallest validation loss (0.125)" in page
+    assert page.count("<svg") == 1  # no panel without values
     assert "2 (policy)" in page
     assert "factory eval &#39;my data&#39; --policy bc:bc" in page
 

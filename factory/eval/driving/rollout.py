@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from factory.eval.driving import measure
 from factory.eval.driving.action import read_actions
+from factory.eval.driving.lazy_input import LazyInput
 from factory.eval.driving.live_view import RigSensors, live_state, shows_recorded_camera
 from factory.eval.driving.measure import odometry, yaws_of
 from factory.eval.driving.policy import (
@@ -39,6 +40,7 @@ from factory.eval.models.messages import EvalRequest, EvalTask
 from factory.eval.models.result import REAL, EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
+from schemas.frame import Frame
 from schemas.measure import Goal
 from schemas.rig import Rig
 from schemas.support.geometry import footprint_distances
@@ -49,7 +51,7 @@ from workers.sim.context import LoadedScene
 TRACK_HZ = 10
 _REST = Twist(0.0, 0.0)
 _STEP_SLACK = 1e-6
-"""Rounding error of a latency in control periods, of which each begun one counts."""
+"""Rounding error of a latency in control periods, of which each started one counts."""
 
 
 class PolicyCallObserver(Protocol):
@@ -60,6 +62,12 @@ class PolicyCallObserver(Protocol):
 
     def after_call(self) -> None:
         """Called after a call of the policy returned or raised."""
+
+    def before_render(self) -> None:
+        """Called within a call of the policy, before the images that it reads are rendered."""
+
+    def after_render(self) -> None:
+        """Called after the images were rendered."""
 
 
 def run_episode(
@@ -146,8 +154,15 @@ class _EpisodeRun:
         """Calls `act` once and executes the returned actions."""
         observation = self._observation(view)
         before_s = self.act_s
-        with self._policy_call(view):
-            answer = self.policy.act(observation)
+        try:
+            with self._policy_call(view):
+                answer = self.policy.act(observation)
+        except PolicyFailure:
+            if isinstance(observation, LazyInput) and observation.failure is not None:
+                raise observation.failure from None
+            raise
+        if isinstance(observation, LazyInput):
+            self.act_s -= observation.seconds  # the time of the renderer is none of the policy
         self.answers += 1
         view = self._wait(view, self.act_s - before_s)
         if view.end is not None:
@@ -185,14 +200,21 @@ class _EpisodeRun:
         if not uses_camera(self.policy):
             return cast(PolicyInput, {"instruction": words, "step": step})  # the policy does not use images
         seen = PolicyInput(instruction=words, step=step)
-        if shows_recorded_camera(self.rig, self.simulator.settings.camera):
-            seen |= {"rgb": view.frame.rgb, "depth": view.frame.depth}
         if self.sensors is not None:
             seen["sensors"] = self.sensors.measure()
         seen["state"] = live_state(self.simulator, self.rig, seen.get("sensors"))
         if self.request.with_pose:
             seen["pose"] = odometry(self.simulator.track)
-        return seen
+        if not shows_recorded_camera(self.rig, self.simulator.settings.camera):
+            return seen
+        return cast(PolicyInput, LazyInput(seen, lambda: self._render(view)))
+
+    def _render(self, view: Observation) -> Frame:
+        self.observer.before_render()
+        try:
+            return view.frame
+        finally:
+            self.observer.after_render()
 
     @contextmanager
     def _policy_call(self, view: Observation) -> Iterator[None]:
