@@ -15,13 +15,16 @@ RECORD  ?= frames
 PLAN    ?= paper
 EPISODES ?= 24
 TAG     ?=
+EXTRAS  ?=
 DOCS    := .venv-docs
 READY   := $(VENV)/.ready
 
 .PHONY: setup run test test-slow test-all check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check
 .PHONY: install-slurm test-engines test-formats test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart release clean
 
+# EXTRAS=train or EXTRAS=train,ray adds extras; the installation stays editable, which `pip install '.[train]'` would end
 setup: $(READY)
+	$(if $(EXTRAS),$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation -e '.[$(EXTRAS)]')
 	@echo "ready; next: make run (a demo dataset in ./dataset), deploy/README.md (clusters), or $(VENV)/bin/factory --help"
 
 $(READY): requirements.txt pyproject.toml

@@ -29,7 +29,7 @@ from factory.cli.options import (
     workers_option,
     write_option,
 )
-from factory.eval.models.result import Variant
+from factory.eval.models.result import MAX_LATENCY_MS, REAL, Latency, Variant
 from schemas.errors import UsageError
 from schemas.terms import Split
 
@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 
 _RESULTS = click.Path(path_type=Path)
 _split_option = split_filter(
-    f"Split to include; repeatable. Values: {', '.join(Split)}, all. Default: the test splits."
+    f"Split to include; repeatable. Values: {', '.join(Split)}, all (also the training splits train_id and val_id). "
+    "Default: all episodes of the test splits."
 )
 
 
@@ -87,6 +88,13 @@ def command() -> None:
     "SECONDS", "--load-timeout", 300.0, "Timeout for loading the policy and for each reset, seconds.", least=0.1
 )
 @click.option(
+    "--latency",
+    callback=lambda _context, _option, value: _latency_of(value),
+    metavar="MS|real",
+    help="Time that passes in the simulation for each answer of a policy, milliseconds: the robot keeps its former "
+    "command. real: the measured time, which is not reproducible. Default: the simulation waits for the policy.",
+)
+@click.option(
     "--pose", "with_pose", is_flag=True, help="Add the robot's pose, in the start frame, to the observations."
 )
 @rig_option(
@@ -117,6 +125,7 @@ def run(
     out: Path | None,
     act_timeout: float,
     load_timeout: float,
+    latency: Latency | None,
     with_pose: bool,
     rig: str | None,
     appearance: str | None,
@@ -161,6 +170,7 @@ def run(
         renderer=renderer,
         rig=rig,
         appearance=appearance,
+        latency=latency,
     )
     campaign = make_campaign(options, drives_here=access is None)
 
@@ -176,6 +186,18 @@ def run(
 
 
 command.set_default(run)
+
+
+def _latency_of(value: str | None) -> Latency | None:
+    if value is None or value == REAL:
+        return None if value is None else REAL
+    try:
+        milliseconds = float(value)
+    except ValueError:
+        milliseconds = -1.0
+    if not 0 <= milliseconds <= MAX_LATENCY_MS:
+        raise UsageError(f"--latency {value}: give 0 to {MAX_LATENCY_MS:g} milliseconds, such as 100, or real")
+    return milliseconds
 
 
 def _evaluate(
@@ -312,8 +334,7 @@ def specs(
     """
     from factory.dataset.reader import Dataset
     from factory.eval.models.spec import write_specs
-    from factory.eval.order import splits_of
-    from factory.eval.specs.from_dataset import specs_of_dataset
+    from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
     from factory.eval.specs.unfiltered import unfiltered_specs
     from factory.support.logs import configure_logs
     from factory.support.terminal import one_bar, print_json

@@ -20,9 +20,12 @@ from factory.cli.options import (
 )
 from factory.train.input_size import SIZES
 from schemas.errors import UsageError
+from schemas.support.shell import quoted
 from schemas.terms import Split
 
 if TYPE_CHECKING:
+    from factory.dataset.reader import Dataset
+    from factory.train.measures import TrainReport
     from factory.train.options import Head
     from schemas.storage.place import Place
 
@@ -143,9 +146,8 @@ def bc(
 
     from factory.dataset.reader import Dataset
     from factory.support.logs import configure_logs
-    from factory.support.terminal import print_result
     from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
-    from factory.train.measures import TrainBar, print_report
+    from factory.train.measures import TrainBar
     from factory.train.options import BcOptions
     from workers.client.stopping import stop_on_signals
 
@@ -172,8 +174,31 @@ def bc(
     )
     with stop_on_signals() as (stop, _), TrainBar(epochs) as bar:
         report = train_bc(order, TrainCallbacks(bar.caching, bar.learning, bar.measured, stop.is_set))
-    print_result(report, as_json, print_report)
+    _show(report, Dataset(root), out, as_json)
     if not report.finished:
         click.echo(f"{len(report.epochs)} of {epochs} epochs done; run the same command again to continue", err=True)
         return 130 if stop.is_set() else 0
     return 0
+
+
+def _show(report: TrainReport, dataset: Dataset, out: Path, as_json: bool) -> None:
+    """Writes the curve of a training, and prints its report with the next commands."""
+    from factory.support.terminal import print_result
+    from factory.train.curve import CURVE, PAGE, write_curve  # needs matplotlib, which the training has checked
+    from factory.train.measures import print_report
+
+    commands = _next_commands(dataset, out)
+    if report.epochs:
+        write_curve(out, report, commands)
+    files = [str(out / name) for name in (CURVE, PAGE)] if report.epochs else []
+    print_result(report, as_json, lambda result: print_report(result, files, commands))
+
+
+def _next_commands(dataset: Dataset, out: Path) -> list[str]:
+    """Returns the commands that show the losses and evaluate the policy of a training."""
+    has_tests = any(split.startswith("test_") for split in dataset.column("split").to_pylist())
+    splits = "" if has_tests else " --split all"
+    return [
+        f"tensorboard --logdir {quoted(out / 'tensorboard')}",
+        f"factory eval {quoted(dataset.root)}{splits} --policy {quoted(f'bc:{out}')} -o {quoted(f'{out}_eval')}",
+    ]

@@ -13,7 +13,7 @@ from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn,
 from factory.dataset.reader import Dataset
 from factory.eval.driving.live_view import live_appearance, require_live
 from factory.eval.models.messages import EvalSetup
-from factory.eval.models.result import Variant
+from factory.eval.models.result import Latency, Variant
 from factory.eval.models.spec import SpecSet, read_specs
 from factory.eval.policies.made_from import GREETING, another_policy, hashes_now
 from factory.eval.policies.registry import check_name, file_of, is_user_class, named, require_available
@@ -23,41 +23,13 @@ from factory.eval.results.publish import publish
 from factory.eval.results.score import Evaluation
 from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import ABLATIONS, Campaign
-from factory.eval.specs.from_dataset import specs_of_dataset
+from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
 from factory.support.terminal import Bars, one_bar
 from schemas.appearance import Appearance
 from schemas.errors import UsageError
 from schemas.rig.rig_file import load_rig
-from schemas.support.shell import quoted
 from schemas.terms import RendererKind, Split
 from schemas.view import ViewSettings
-
-_TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
-
-
-def splits_of(dataset: Dataset, names: tuple[str, ...] | None) -> tuple[Split, ...]:
-    """Returns the splits to evaluate, in the paper's order.
-
-    Args:
-        dataset: the dataset.
-        names: names of splits; empty for all splits with episodes, `None` for all test splits with episodes.
-    """
-    if names:
-        return tuple(split for split in Split if str(split) in names)
-    present = set(dataset.column("split").to_pylist())
-    splits = tuple(
-        split for split in Split if str(split) in present and (names is not None or split not in _TRAINED_ON)
-    )
-    if not present:
-        raise UsageError(
-            f"{dataset.root} has no episodes: `factory status {quoted(dataset.root)}` shows its run, "
-            f"`factory run --out {quoted(dataset.root)}` continues it"
-        )
-    if not splits:
-        raise UsageError(
-            f"{dataset.root} has no episodes in test splits; evaluate on its other splits with --split all"
-        )
-    return splits
 
 
 @dataclass(frozen=True)
@@ -77,6 +49,7 @@ class EvalOptions:
     renderer: RendererKind
     rig: str | None = None
     appearance: str | None = None
+    latency: Latency | None = None
 
 
 def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
@@ -106,6 +79,7 @@ def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
         renderer=options.renderer,
         act_timeout_s=options.act_timeout,
         load_timeout_s=options.load_timeout,
+        latency=options.latency,
         view=ViewSettings(rig=rig, appearance=_appearance(options.appearance)),
     )
     return Campaign(
@@ -145,6 +119,7 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
         specs_digest=campaign.specs.digest,
         with_pose=campaign.with_pose,
         act_timeout_s=campaign.setup.act_timeout_s,
+        latency=campaign.setup.latency,
         view=campaign.setup.view,
     )
     return Store(folder, campaign.specs, manifest)
@@ -182,6 +157,8 @@ def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
 
         def show(pace: Pace) -> None:
             note = f"{pace.successes} succeeded"
+            if pace.waiting:
+                bar.console.print(f"{pace.policy}: {pace.waiting}")
             bar.update(tasks[pace.policy], completed=pace.done, total=pace.total, note=note)
 
         yield show

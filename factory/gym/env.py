@@ -19,11 +19,18 @@ from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving import measure
-from factory.eval.driving.live_view import RigSensors, SensorArrays, live_appearance, live_arrays, require_live
+from factory.eval.driving.live_view import (
+    RigSensors,
+    SensorArrays,
+    live_appearance,
+    live_arrays,
+    live_state,
+    require_live,
+)
 from factory.eval.driving.measure import odometry
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.spec import EvalSpec, SpecSet, read_specs
-from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
+from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset, splits_of
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
 from schemas.appearance import Appearance
 from schemas.encoding.arrays import ArraySpec
@@ -32,6 +39,7 @@ from schemas.errors import UsageError
 from schemas.rig import Rig
 from schemas.rig.rig_file import load_rig
 from schemas.storage.place import Place, place_of
+from schemas.support.geometry import STATE_NAMES
 from schemas.support.suggest import did_you_mean
 from schemas.terms import EndReason, RendererKind, Split
 from schemas.tokens import GRID_POINTS, actions_of
@@ -81,7 +89,7 @@ def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> Sp
 
     Args:
         root: Location of the dataset.
-        split: One or more splits of the dataset, separated by commas.
+        split: One or more splits of the dataset, separated by commas; `all` for all splits with episodes.
         specs: File of specs, or a spec set, used instead of `split`.
 
     Raises:
@@ -93,10 +101,14 @@ def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> Sp
     if specs is not None:
         return read_specs(Path(specs))
     names = [name.strip() for name in split.split(",")]
+    if names == ["all"]:
+        dataset = Dataset(root)
+        return specs_of_dataset(dataset, splits_of(dataset, ()))
     unknown = [name for name in names if name not in set(Split)]
     if unknown:
         raise UsageError(
-            f"unknown split {', '.join(unknown)}; valid splits: {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
+            f"unknown split {', '.join(unknown)}; valid splits: {', '.join(Split)}, or all"
+            f"{did_you_mean(unknown[0], Split)}"
         )
     return specs_of_dataset(Dataset(root), [Split(name) for name in names])
 
@@ -115,8 +127,9 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
     """Gymnasium environment: drive to the object named in the instruction and stop within the success radius.
 
     Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) float32 metres, 0 where the ray hits nothing;
-    `instruction`, in the form given by the argument of that name; and, if `with_pose` is set, `pose`: x, y in metres
-    and yaw in radians in the frame of the start pose.
+    `state` (5,) float32: x, y in metres and unwrapped yaw in radians in the frame of the start pose, measured v in m/s
+    and w in rad/s, as `observation.state` of exports; `instruction`, in the form given by the argument of that name;
+    and, if `with_pose` is set, `pose`: x, y in metres and yaw in radians in the frame of the start pose.
 
     With `rig`, the latest measurement of each of its sensors replaces `rgb` and `depth`, with the key `SENSOR/ARRAY`,
     such as `front/rgb` or `scan/ranges` (docs/rigs.md#policies).
@@ -149,12 +162,13 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         vocabulary: Sequence[str] | None = None,
         rig: str | Path | Rig | None = None,
         appearance: str | Path | Appearance | None = None,
+        with_state: bool = True,
     ) -> None:
         """Starts the rendering process; scenes are loaded when an episode needs them.
 
         Args:
             data: Dataset directory, used for its scenes and, without `specs`, its episodes. Required.
-            split: One or more splits of the dataset, separated by commas.
+            split: One or more splits of the dataset, separated by commas; `all` for all splits with episodes.
             specs: File written by `factory eval specs`, or a spec set, used instead of `split`.
             actions: `continuous`, `scaled` or `tokens`.
             with_pose: Whether observations contain the pose.
@@ -170,6 +184,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             rig: Sensors of the robot: a rig, the name of a built-in one, or a TOML file. `None` is the recorded camera.
             appearance: Appearance of the scenes, drawn for each episode: ranges, the name of a built-in appearance, or
                 a TOML file, without clutter. `None` shows the scenes as they were compiled.
+            with_state: Whether observations contain `state`.
 
         Raises:
             UsageError: `data` is missing, or the value of another argument is not valid.
@@ -181,7 +196,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self.render_mode = render_mode
         self.specs = specs_for(root, split, specs)
         self._by_id = {spec.spec_id: spec for spec in self.specs.specs}
-        self._actions, self._with_pose, self._size, self._instruction = actions, with_pose, size, instruction
+        self._actions, self._size, self._instruction = actions, size, instruction
+        self._with_pose, self._with_state = with_pose, with_state
         self.vocabulary: tuple[str, ...] = words_for(instruction, vocabulary, root)
         """Words by their index in `tokens`; empty for other kinds of instruction."""
         self.rig = None if rig is None else live_rig(rig, self.specs.settings.task.control_hz)
@@ -261,6 +277,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         words = instruction_space(self._instruction, self.vocabulary)
         if words is not None:
             members["instruction"] = words
+        if self._with_state:
+            members["state"] = spaces.Box(-_FAR_AWAY_M, _FAR_AWAY_M, (len(STATE_NAMES),), np.float32)
         if self._with_pose:
             reach = np.array((_FAR_AWAY_M, _FAR_AWAY_M, math.pi))
             members["pose"] = spaces.Box(-reach, reach, dtype=np.float64)
@@ -298,8 +316,9 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
 
     def _observe(self, view: Observation) -> GymObservation:
         observation: GymObservation
-        if self._sensors is not None:
-            observation = dict(flat(self._sensors.measure()))
+        sensors = None if self._sensors is None else self._sensors.measure()
+        if sensors is not None:
+            observation = dict(flat(sensors))
         else:
             is_whole = self._size == FRAME_SIZE_PX
             frame = view.frame if is_whole else self._simulator.shown.renderer.render(view.pose, self._size)
@@ -307,6 +326,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         if self._instruction != "none":
             spec = self._simulator.spec
             observation["instruction"] = encode_instruction(self._instruction, spec.instruction, self.vocabulary)
+        if self._with_state:
+            observation["state"] = live_state(self._simulator, self.rig, sensors)
         if self._with_pose:
             observation["pose"] = odometry(self._simulator.track)
         return observation

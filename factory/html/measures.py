@@ -25,6 +25,8 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
         "distance to the target": "planar distance from the robot to the target, by the measure that decides about "
         "success",
         "SR": "success rate: share of the episodes that end stationary within the success radius",
+        "oracle success": "share of the episodes in which the robot was within the success radius of the target at any "
+        "time, with or without a stop",
         "any instance": "share of the episodes that end stationary within the success radius of the target or of "
         "another object of its category",
         "SPL": "success weighted by path length: shortest path divided by driven path, 0 without success",

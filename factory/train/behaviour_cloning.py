@@ -1,7 +1,8 @@
 """Runs a training from a dataset to a folder: frames, epochs, checkpoints, logs. Resumes an interrupted training.
 
-The folder contains `policy.pt` (used by `--policy bc:OUT`), `state.pt` (the state to resume from), `metrics.json` and
-`tensorboard/`. Both checkpoints are written atomically after every epoch. Defines no network and no loss.
+The folder contains `policy.pt` (used by `--policy bc:OUT`, with the weights of the epoch with the smallest validation
+loss), `state.pt` (the state to resume from), `metrics.json` and `tensorboard/`. Checkpoints are written atomically
+after an epoch. Defines no network and no loss.
 """
 
 from __future__ import annotations
@@ -28,12 +29,13 @@ from factory.train.checkpoint import (
 )
 from factory.train.frames import TrainingFrames
 from factory.train.measures import EpochMeasures, TrainReport
-from factory.train.options import BcOptions, CheckpointMeta
+from factory.train.options import BcOptions, CheckpointMeta, TrainingStarts
 from factory.train.pictures import open_cache, render_frames
 from factory.train.torch_import import choose_device, deterministic_algorithms, load_torch, require_logs, summary_writer
 from factory.train.vocabulary import vocabulary
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import translated
+from schemas.support.extras import require_package
 from schemas.terms import Recording, Split
 
 if TYPE_CHECKING:
@@ -83,6 +85,7 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     """
     device = choose_device(order.device)
     require_logs()
+    require_package("matplotlib", "the curve of a training")
     resumed = _check_folder(order)
     train, val = _frames(order, callbacks)
     meta = _meta(order, train)
@@ -93,6 +96,7 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     limits = TrainingLimits(meta.max_speed_mps, meta.max_yaw_rate_rps)
     training = BcTraining(order.options, meta.words, limits, device)
     epochs = _restore(order, training, resumed) if resumed is not None else []
+    kept = _kept_epoch(order.out, epochs) if resumed is not None else None
     start_s, longest = time.monotonic(), 0.0
     with closing(summary_writer(str(order.out / "tensorboard"), training.epochs_done + 1)) as log:
         while training.epochs_done < order.options.epochs and not callbacks.is_stopped():
@@ -108,10 +112,29 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
             longest = max(longest, measured.seconds)
             epochs.append(measured)
             _log(log, measured)
-            report = _report(order, training, train, val, epochs, str(device))
-            _write(order.out, training, meta, report)
+            if is_better(measured, kept):
+                kept = measured
+            report = _report(order, training, train, val, epochs, kept, str(device))
+            _write(order.out, training, meta, report, is_best=kept is measured)
             callbacks.measured(measured)
-    return _report(order, training, train, val, epochs, str(device))
+    return _report(order, training, train, val, epochs, kept, str(device))
+
+
+def is_better(new: EpochMeasures, kept: EpochMeasures | None) -> bool:
+    """Returns whether the weights of an epoch replace those of the epoch that is kept.
+
+    The smallest validation loss decides; without one, the later epoch.
+    """
+    return kept is None or kept.val_loss is None or new.val_loss is None or new.val_loss < kept.val_loss
+
+
+def _kept_epoch(out: Path, epochs: list[EpochMeasures]) -> EpochMeasures | None:
+    """Returns the epoch whose weights `policy.pt` has, or `None` if it is later than the state.
+
+    Such an epoch was interrupted between both files. It is done again, with the same weights.
+    """
+    number = read_checkpoint(out / POLICY).meta.epochs_done
+    return next((epoch for epoch in epochs if epoch.epoch == number), None)
 
 
 def _check_folder(order: TrainOrder) -> Checkpoint | None:
@@ -197,8 +220,18 @@ def _meta(order: TrainOrder, train: TrainingFrames) -> CheckpointMeta:
         appearance=order.dataset.appearance,
         train_episodes=len(index.episodes),
         train_frames=len(train),
+        starts=_starts(order.dataset.filter(split=order.split)),
         software=f"minivla-factory {version}, torch {load_torch().__version__}",
     )
+
+
+def _starts(dataset: Dataset) -> TrainingStarts:
+    scenes: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
+    names = ("scene_sha256", "target_id", "spawn_x_m", "spawn_y_m", "spawn_yaw_rad")
+    for scene, target, *pose in zip(*(dataset.column(name).to_pylist() for name in names), strict=True):
+        x, y, yaw = (round(value, 4) for value in pose)
+        scenes.setdefault(scene, {}).setdefault(target, []).append((x, y, yaw))
+    return TrainingStarts.model_validate({"scenes": scenes})
 
 
 def _restore(order: TrainOrder, training: BcTraining, checkpoint: Checkpoint) -> list[EpochMeasures]:
@@ -217,12 +250,13 @@ def _require_sound(measured: EpochMeasures) -> None:
         raise WorldError(f"the loss of epoch {measured.epoch} is not a finite number: try a lower --rate")
 
 
-def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport) -> None:
+def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport, *, is_best: bool) -> None:
     done = meta.model_copy(update={"epochs_done": training.epochs_done})
     state = training.state()
     # the metrics are written first, because a resumed training discards epochs that are newer than its state
     write_atomically(out / _METRICS, report.model_dump_json(indent=2).encode())
-    write_checkpoint(out / POLICY, Checkpoint(done, {"model": state["model"]}))
+    if is_best:
+        write_checkpoint(out / POLICY, Checkpoint(done, {"model": state["model"]}))
     write_checkpoint(out / STATE, Checkpoint(done, state))
 
 
@@ -239,6 +273,7 @@ def _report(
     train: TrainingFrames,
     val: TrainingFrames | None,
     epochs: list[EpochMeasures],
+    kept: EpochMeasures | None,
     device: str,
 ) -> TrainReport:
     return TrainReport(
@@ -252,4 +287,5 @@ def _report(
         val_episodes=len(val.index.episodes) if val else 0,
         val_frames=len(val) if val else 0,
         epochs=tuple(epochs),
+        policy_epoch=None if kept is None else kept.epoch,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,18 +42,21 @@ def parse_meta(text: object, path: Path) -> CheckpointMeta:
     """
     if not isinstance(text, str):
         raise UsageError(f"{path} is not a checkpoint of `factory train`: the text `meta` is missing")
+    found = re.match(r'\{"format":\s*(\d{1,9}),', text)  # newer metadata can have fields that this version refuses
+    if found and int(found[1]) > CHECKPOINT_FORMAT:
+        raise UsageError(
+            f"{path} was written by another version (format {found[1]}; this version reads formats up to "
+            f"{CHECKPOINT_FORMAT}): train the policy again"
+        )
     try:
         meta = CheckpointMeta.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         what = f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
         raise UsageError(f"{path} is not a checkpoint that this version reads ({what})") from error
-    if meta.format > CHECKPOINT_FORMAT or meta.look != PREPROCESS_VERSION:
-        recorded = f"format {meta.format}, preprocessing {meta.look}"
-        mine = f"format {CHECKPOINT_FORMAT}, preprocessing {PREPROCESS_VERSION}"
-        raise UsageError(
-            f"{path} was written by another version ({recorded}; this version reads {mine}): train the policy again"
-        )
+    if meta.look != PREPROCESS_VERSION:
+        versions = f"preprocessing {meta.look}; this version reads preprocessing {PREPROCESS_VERSION}"
+        raise UsageError(f"{path} was written by another version ({versions}): train the policy again")
     return meta
 
 

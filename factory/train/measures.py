@@ -5,6 +5,7 @@ Computes nothing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -54,6 +55,9 @@ class TrainReport(Model):
     val_episodes: int
     val_frames: int
     epochs: tuple[EpochMeasures, ...]
+    policy_epoch: int | None = None
+    """Epoch of the weights in `policy.pt`: the one with the smallest validation loss, or the last one without
+    validation episodes; `None` before the first epoch, and in reports of older versions."""
 
 
 class TrainBar(Closing):
@@ -96,16 +100,32 @@ def _describe(epoch: EpochMeasures) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in pairs if value is not None)
 
 
-def print_report(report: TrainReport) -> None:
-    """Prints the measures of the last epoch, and the policy."""
-    if report.epochs:
-        last = report.epochs[-1]
-        print_table(
-            "", ("measure", "value"), [(name, "-" if value is None else f"{value:.4g}") for name, value in last]
-        )
+def describe_kept(report: TrainReport) -> str:
+    """Returns which epoch the weights of the policy are from."""
+    if report.policy_epoch is None:
+        return "no epoch is done"
+    by_epoch = {epoch.epoch: epoch for epoch in report.epochs}
+    loss = by_epoch[report.policy_epoch].val_loss if report.policy_epoch in by_epoch else None
+    why = "the last one, because there are no validation episodes"
+    if loss is not None:
+        why = f"with the smallest validation loss ({loss:.4g})"
+    return f"the policy has the weights of epoch {report.policy_epoch} of {len(report.epochs)}, {why}"
+
+
+def print_report(report: TrainReport, files: Sequence[str], commands: Sequence[str]) -> None:
+    """Prints the measures of the epoch that is kept, the policy, the files of the curve, and the next commands."""
+    for epoch in report.epochs:
+        if epoch.epoch == report.policy_epoch:
+            print_table(
+                "", ("measure", "value"), [(name, "-" if value is None else f"{value:.4g}") for name, value in epoch]
+            )
     seconds = sum(epoch.seconds for epoch in report.epochs)
     click.echo(
         f"{report.parameters} parameters on {report.device}: {report.train_episodes} episodes, {report.train_frames} "
         f"frames; validated on {report.val_episodes} episodes, {report.val_frames} frames; {format_duration(seconds)}"
     )
-    click.echo(f"policy: bc:{report.out}")
+    click.echo(f"policy: bc:{report.out}; {describe_kept(report)}")
+    if files:
+        click.echo(f"curve: {', '.join(files)}")
+    for command in commands:
+        click.echo(f"next: {command}")

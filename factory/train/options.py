@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from factory.train.input_size import PREPROCESS_VERSION, SIZES
-from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
+from schemas.base import Finite, Fraction, Model, Name, NonNegative, Positive, Sha256
 from schemas.view import AppearanceData
 
 _FINAL_SHARE = 0.02
@@ -34,7 +34,7 @@ def ema_decay(step: int, limit: float) -> float:
     return min(limit, (1 + step) / (10 + step))
 
 
-CHECKPOINT_FORMAT = 2
+CHECKPOINT_FORMAT = 3
 """Format version of a checkpoint. Readers accept this version and older ones, and raise an error for a newer one."""
 Head = Literal["continuous", "tokens"]
 
@@ -76,6 +76,31 @@ class BcOptions(Model):
         return size
 
 
+SAME_START_M, SAME_START_RAD = 0.01, 0.02
+"""Largest differences between two starts of the same episode, metres and radians: the robot settles before frame 0."""
+Start = tuple[Finite, Finite, Finite]
+"""x, y in metres and yaw in radians of base_link at the start, world frame."""
+
+
+class TrainingStarts(Model):
+    """Scene, target and start of every training episode, by which an evaluation recognises these episodes.
+
+    They do not depend on the recording, the appearance, the instruction or the number of an episode.
+    """
+
+    scenes: dict[Sha256, dict[Name, tuple[Start, ...]]]
+    """SHA-256 of a scene package -> target -> starts."""
+
+    def holds(self, scene_sha256: str, target_id: str, start: tuple[float, float, float]) -> bool:
+        """Returns whether an episode with this scene, target and start was trained on."""
+        x, y, yaw = start
+        return any(
+            math.dist((x, y), one[:2]) <= SAME_START_M
+            and abs(math.remainder(yaw - one[2], 2 * math.pi)) <= SAME_START_RAD
+            for one in self.scenes.get(scene_sha256, {}).get(target_id, ())
+        )
+
+
 class CheckpointMeta(Model):
     """Checkpoint metadata that a policy needs to use the weights."""
 
@@ -97,5 +122,7 @@ class CheckpointMeta(Model):
     """Appearance of the training frames, if they were rendered with one."""
     train_episodes: Annotated[int, Field(ge=1)]
     train_frames: Annotated[int, Field(ge=1)]
+    starts: TrainingStarts | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Episodes of the training; `None` in checkpoints of format 2."""
     software: str
     """Versions of this product and of torch."""

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.support import portable
 from schemas.support.numpy_types import Bools, Floats
 
+STATE_NAMES = ("x_m", "y_m", "yaw_rad", "v_mps", "w_rps")
+"""Names of the numbers in `observation.state` of exports and in `state` of the observations of policies."""
+
 
 def yaw_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns the headings (T,) of poses (T, 7) x, y, z, qw, qx, qy, qz, radians."""
@@ -79,3 +82,25 @@ def cross(left: Floats, right: Floats) -> Floats:
     product[..., 1] = z * other_x - x * other_z
     product[..., 2] = x * other_y - y * other_x
     return product
+
+
+def planar_states(poses: NDArray[np.float64], hz: int) -> NDArray[np.float32]:
+    """Returns the state (T, 5) of each frame, in the order of `STATE_NAMES`; frame t depends on poses 0 to t only.
+
+    x and y in metres (x forward, y left) and the unwrapped yaw in radians are those of base_link in the frame of the
+    first pose. v in m/s and w in rad/s are measured over the step before the frame, and are 0 in the first frame.
+
+    Args:
+        poses: (T, 7) x, y, z, qw, qx, qy, qz of base_link in the world frame.
+        hz: frames per second.
+    """
+    yaw = np.unwrap(yaw_of(poses))
+    offset = poses[:, :2] - poses[0, :2]
+    cos, sin = np.cos(yaw[0]), np.sin(yaw[0])
+    x, y = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
+    turned = yaw - yaw[0]
+    heading = (turned[1:] + turned[:-1]) / 2
+    v, w = np.zeros(len(poses)), np.zeros(len(poses))
+    v[1:] = (np.diff(x) * np.cos(heading) + np.diff(y) * np.sin(heading)) * hz
+    w[1:] = np.diff(turned) * hz
+    return np.stack([x, y, turned, v, w], axis=1).astype(np.float32)

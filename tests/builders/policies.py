@@ -63,6 +63,36 @@ class Slow(_Quiet):
         return 0.0, 0.0
 
 
+class TellsSteps(_Quiet):
+    """Drives, and raises an exception with the steps of its first four observations."""
+
+    def reset(self, instruction: str, info: Any) -> None:
+        self.steps: list[int] = []
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        self.steps.append(observation["step"])
+        if len(self.steps) == 4:
+            raise ValueError(self.steps)
+        return [(0.5, 0.0)] * 2
+
+
+class ThinksAndTellsSteps(TellsSteps):
+    """As its base class, and thinks for 0.2 s."""
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        time.sleep(0.2)
+        return super().act(observation)
+
+
+class LoadsSlowly(_Quiet):
+    """Does not move; its first answer takes three seconds."""
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        if observation["step"] == 0:
+            time.sleep(3.0)
+        return 0.0, 0.0
+
+
 class Dies(_Quiet):
     """Ends its process."""
 
@@ -92,7 +122,8 @@ class ChecksInput(_Quiet):
     """Checks its input, does not move, and turns if the instruction is empty."""
 
     def act(self, observation: dict[str, Any]) -> Any:
-        assert set(observation) == {"rgb", "depth", "instruction", "step"}, sorted(observation)
+        assert set(observation) == {"rgb", "depth", "state", "instruction", "step"}, sorted(observation)
+        assert (observation["state"].shape, observation["state"].dtype) == ((5,), np.float32)
         assert observation["rgb"].shape == (640, 640, 3)
         assert observation["depth"].shape == (640, 640)
         assert observation["instruction"] == self.instruction

@@ -27,6 +27,7 @@ INFO = EpisodeInfo("ep_000001", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
 VIEW = PolicyInput(
     rgb=np.arange(4 * 4 * 3, dtype=np.uint8).reshape(4, 4, 3),
     depth=np.full((4, 4), 1.5, np.float32),
+    state=np.array((0.5, 0.25, 0.1, 0.75, -0.5), np.float32),
     instruction="Go to the chair.",
     step=0,
 )
@@ -72,6 +73,8 @@ def test_a_server_receives_the_observation_and_its_answer_is_returned() -> None:
         actions = policy.act(VIEW)["actions"]
         policy.close()
     np.testing.assert_allclose(actions, [[0.5, 0.1], [0.4, 0.0]])
+    np.testing.assert_array_equal(seen[0]["state"], VIEW["state"])
+    assert seen[0]["state"].dtype == np.float32
     assert {key: seen[0][key] for key in ("prompt", "step", "episode", "seed")} == {
         "prompt": "Go to the chair.",
         "step": 0,

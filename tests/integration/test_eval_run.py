@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import json
+import subprocess
+import sys
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,24 +18,31 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.eval.driving.rollout import thin_track
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput
+from factory.eval.driving.rollout import run_episode, thin_track
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalSetup
-from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.models.result import EpisodeResult, EvalEnd, TrainingNote, Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.order import require_same_policies
 from factory.eval.policies.registry import renders_apart
 from factory.eval.process.local_campaign import run_campaign
-from factory.eval.results.publish import evaluation_of, pair_folder, publish
-from factory.eval.results.store import EvalManifest, Store
-from factory.eval.specs.campaign import Campaign, playback_sources
-from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset
+from factory.eval.results.compare import compare
+from factory.eval.results.publish import evaluation_of, pair_folder, publish, training_overlap
+from factory.eval.results.score import Evaluation
+from factory.eval.results.store import EvalManifest, Store, read_manifest
+from factory.eval.results.text import print_evaluation
+from factory.eval.specs.campaign import Campaign, playback_sources, tasks_for
+from factory.eval.specs.from_dataset import LoadedScenes, specs_of_dataset, splits_of
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
+from workers.experts.observation import Observation
+from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.sim.context import SimulationContext
 
 MINE = "tests.builders.policies"
+EXAMPLES = Path(__file__).parent.parent.parent / "docs" / "evaluation"
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +68,11 @@ def campaign_of(
 
 def open_store(root: Path, campaign: Campaign) -> Store:
     manifest = EvalManifest(
-        run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=2.0
+        run=campaign.specs.run,
+        specs_digest=campaign.specs.digest,
+        with_pose=False,
+        act_timeout_s=2.0,
+        latency=campaign.setup.latency,
     )
     return Store(root, campaign.specs, manifest)
 
@@ -172,7 +187,7 @@ def test_a_policy_receives_only_camera_and_instruction_even_under_ablation(
     listens, stop = evaluation.policies
     assert evaluation.complete
     assert [row.variant for row in listens.ablation if row.by == "all"] == ["shuffled", "wrong", "empty"]
-    assert (listens.knows, stop.knows) == ("camera and instruction", "nothing")
+    assert (listens.knows, stop.knows) == ("camera, instruction and odometry", "nothing")
     assert not stop.reads_instruction
 
 
@@ -286,3 +301,167 @@ def test_episodes_that_one_policy_completes_are_filmed_with_both_policies(
     assert np.abs(last[above, :320] - first[above, :320]).mean() > 10
     assert "expert succeeds" not in (tmp_path / "index.html").read_text()  # one episode shows nothing
     assert "No difference between expert and stop is shown in 1 episode" in (tmp_path / "index.html").read_text()
+
+
+def test_the_default_evaluates_every_episode_of_the_test_splits_and_all_also_those_of_training(drives: Dataset) -> None:
+    splits = drives.column("split").to_pylist()
+    tested = specs_of_dataset(drives, splits_of(drives, None)).specs
+    assert len(tested) == sum(split.startswith("test_") for split in splits) == 2
+    assert len(specs_of_dataset(drives, splits_of(drives, ())).specs) == len(splits) == 3
+
+
+def test_evaluated_training_episodes_are_named(
+    drives: Dataset, specs: SpecSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign = campaign_of(drives, short(specs, 4), "stop")
+    with open_store(tmp_path, campaign) as store:
+        run_campaign(campaign, store, threading.Event(), lambda _pace: None)
+        rows, note = store.results("stop"), store.note_of("stop")
+        assert note is not None
+        training = TrainingNote(digest=drives.filter(split="train_id").digest, episodes=1)
+        note = note.model_copy(update={"training": training})
+        # without starts, as in a checkpoint of format 2, the digest of the split decides
+        overlap = training_overlap(campaign, note, rows)
+        assert overlap is not None
+        assert (overlap.train_digest, overlap.evaluation_digest) == (training.digest, drives.digest)
+        assert (overlap.trained_on, overlap.episodes) == (1, 3)
+        unknown = note.model_copy(update={"training": TrainingNote(digest="0" * 64, episodes=9)})
+        assert training_overlap(campaign, unknown, rows) == overlap.model_copy(
+            update={"train_digest": "0" * 64, "train_episodes": 9, "trained_on": None}
+        )
+        flagged = [row.model_copy(update={"trained_on": row.split == "test_id"}) for row in rows]
+        assert getattr(training_overlap(campaign, unknown, flagged), "trained_on", None) == 2
+        store.note(note)
+        publish(campaign, store, 0)
+        print_evaluation(evaluation_of(campaign, store))
+    said = " ".join(capsys.readouterr().out.split())
+    page = " ".join((tmp_path / "index.html").read_text().split())
+    for text in (said, page):
+        assert "stop: warning: trained on 1 of the 3 evaluated episodes (training digest" in text
+        assert "1 of train_id are among the 3 episodes" in text
+    assert Evaluation.model_validate_json((tmp_path / "results.json").read_bytes()).policies[0].training == overlap
+
+
+def test_latency_moves_the_world_with_the_former_command(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    names = [f"{MINE}:{name}" for name in ("TellsSteps", "ThinksAndTellsSteps")]
+    told, rows = {}, {}
+    for latency in (None, 100.0, "real"):
+        campaign = campaign_of(drives, short(specs, 60).only(None, 1), *names)
+        setup = campaign.setup.model_copy(update={"latency": latency})
+        campaign = dataclasses.replace(campaign, setup=setup)
+        found = drive(tmp_path / str(latency), campaign)
+        told[latency] = [json.loads(found[name][0].detail.partition(": ")[2].partition(" (")[0]) for name in names]
+        rows[latency] = found[names[0]]
+    assert told[None] == [[0, 2, 4, 6]] * 2
+    assert told[100.0] == [[0, 2, 6, 10]] * 2  # two steps of 50 ms while the second and the third answer are awaited
+    assert all(later - former >= 6 for former, later in itertools.pairwise(told["real"][1][1:]))  # 4 for 0.2 s
+    assert told["real"][1][1] == 2
+    assert rows[100.0][0].trajectory_length_m > rows[None][0].trajectory_length_m
+    with pytest.raises(UsageError, match="no original episode in common"):
+        compare(rows[None], rows[100.0], Variant.ORIGINAL)
+    with pytest.raises(UsageError, match=r"another evaluation \(latency 100\.0, now None\)"):
+        Store(
+            tmp_path / "100.0", campaign.specs, read_manifest(tmp_path / "100.0").model_copy(update={"latency": None})
+        )
+
+
+def test_the_results_state_the_latency(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    remarks = []
+    for latency in (250.0, "real"):
+        campaign = campaign_of(drives, short(specs, 4), "stop")
+        campaign = dataclasses.replace(campaign, setup=campaign.setup.model_copy(update={"latency": latency}))
+        with open_store(tmp_path / str(latency), campaign) as store:
+            run_campaign(campaign, store, threading.Event(), lambda _pace: None)
+            evaluation = evaluation_of(campaign, store)
+        assert evaluation.latency == latency
+        remarks.append(" ".join(evaluation.remarks))
+    assert "takes 250 ms" in remarks[0]
+    assert "not reproducible" not in remarks[0]
+    assert "these results are not reproducible" in remarks[1]
+
+
+def test_a_good_server_logs_no_error_at_the_end_of_an_evaluation(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    command = [sys.executable, str(EXAMPLES / "policy_server.py"), "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline().split()[-1]
+            found = drive(tmp_path, campaign_of(drives, short(specs, 8), address, processes=2))
+            assert [row.end for row in found[address]] == [EvalEnd.TIMEOUT] * 3
+        finally:
+            process.terminate()
+            errors = process.communicate()[1]
+    assert errors == ""
+
+
+def test_a_long_wait_is_shown_with_its_limit_and_limits_are_in_the_results(
+    drives: Dataset, specs: SpecSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"{MINE}:LoadsSlowly"
+    campaign = campaign_of(drives, short(specs, 7).only(None, 1), name)
+    waits = []
+    with open_store(tmp_path, campaign) as store:
+        assert run_campaign(campaign, store, threading.Event(), lambda pace: waits.append(pace.waiting))
+        assert [wait for wait in waits if wait] == [
+            "waiting for loading, reset or first answer, at most 300 s (--load-timeout)"
+        ]
+        publish(campaign, store, 0)
+        print_evaluation(evaluation_of(campaign, store))
+    said = (
+        "7 steps (0.35 s) for an episode; 2 s for an answer; 300 s for loading a policy, a reset and the first answer"
+    )
+    assert f"limits: {said}" in " ".join(capsys.readouterr().out.split())
+    assert f"Limits: {said}." in (tmp_path / "index.html").read_text()
+    limits = json.loads((tmp_path / "results.json").read_text())["limits"]
+    assert limits == {"max_steps": 7, "control_hz": 20, "act_timeout_s": 2.0, "load_timeout_s": 300.0}
+
+
+class CountsRenders:
+    """Observer of policy calls that counts the rendered frames."""
+
+    renders = 0
+
+    def before_call(self, simulator: Simulator, view: Observation) -> None: ...
+
+    def after_call(self) -> None: ...
+
+    def before_render(self) -> None:
+        self.renders += 1
+
+    def after_render(self) -> None: ...
+
+
+class LooksAtSome:
+    """Does not move; keeps all observations, and reads the images of every tenth."""
+
+    def reset(self, instruction: str, info: EpisodeInfo) -> None:
+        self.seen: list[PolicyInput] = []
+        self.images: dict[int, tuple[Any, Any]] = {}
+
+    def act(self, observation: PolicyInput) -> Any:
+        self.seen.append(observation)
+        if observation["step"] % 10 == 0:
+            self.images[observation["step"]] = observation["rgb"].copy(), observation["depth"].copy()
+        if observation["step"] == 25:
+            kept = self.seen[3]  # reads an image of an earlier step
+            self.images[3] = kept["rgb"].copy(), kept["depth"].copy()
+        return 0.0, 0.0
+
+
+def test_images_that_a_policy_does_not_read_are_not_rendered_and_others_equal_rendering(
+    drives: Dataset, specs: SpecSet
+) -> None:
+    campaign = campaign_of(drives, short(specs, 30).only(None, 1), f"{MINE}:Looks")
+    places, policy, observer = LoadedScenes(drives.root), LooksAtSome(), CountsRenders()
+    (task,) = tasks_for(campaign, campaign.policies[0], places)
+    loaded = places.load(task.request.spec.scene, task.request.spec.scene_sha256)
+    with SimulationContext() as stage, Simulator(stage, campaign.specs.settings) as simulator:
+        run_episode(task, policy, simulator, loaded, observer)
+        assert sorted(policy.images) == [0, 3, 10, 20]
+        assert observer.renders == 4
+        for step, (rgb, depth) in policy.images.items():
+            frame = simulator.shown.renderer.render(Pose(*simulator.track[step]))
+            np.testing.assert_array_equal(rgb, frame.rgb)
+            np.testing.assert_array_equal(depth, frame.depth)

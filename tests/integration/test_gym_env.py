@@ -17,8 +17,11 @@ from gymnasium.utils.env_checker import check_env
 from factory.dataset.reader import Dataset
 from factory.eval.models.spec import SpecSet
 from factory.eval.specs.from_dataset import specs_of_dataset
+from factory.export.lerobot.columns import frame_columns
 from factory.gym.env import MiniVLANavEnv
 from schemas.errors import UsageError
+from schemas.rig import Rig, WheelOdometry
+from schemas.support.geometry import STATE_NAMES
 from schemas.terms import Split
 from tests.builders.fresh_process import in_fresh_process
 from tests.builders.rigs import small_rig
@@ -205,7 +208,7 @@ def test_the_instruction_is_only_in_the_info_when_excluded_from_observations(dri
     opened = MiniVLANavEnv(drives.root, size=SMALL, instruction="none")
     observation, info = opened.reset(seed=0)
     opened.close()
-    assert set(observation) == {"rgb", "depth"}
+    assert set(observation) == {"rgb", "depth", "state"}
     assert info["instruction"].startswith("Go to the ")
 
 
@@ -326,3 +329,45 @@ def test_environments_run_side_by_side_in_spawned_processes(drives: Dataset, spe
         assert (after["rgb"] != first["rgb"]).any()
     finally:
         vector.close()
+
+
+def test_split_all_has_the_episodes_of_every_split(drives: Dataset) -> None:
+    opened = MiniVLANavEnv(drives.root, split="all", size=SMALL)
+    try:
+        assert {spec.spec_id for spec in opened.specs.specs} == set(drives.column("episode_id").to_pylist())
+    finally:
+        opened.close()
+
+
+def test_the_state_equals_that_of_the_export_of_the_same_drive(drives: Dataset) -> None:
+    episode = drives.filter(split="test_id")[0]
+    exported = frame_columns(episode.actions, episode.poses, episode.meta.job.task.control_hz, 1).state
+    opened = MiniVLANavEnv(drives.root, split="test_id", size=8)
+    try:
+        states = [opened.reset(options={"episode": episode.episode_id})[0]["state"]]
+        states += [opened.step(np.array(action))[0]["state"] for action in episode.actions[:-1]]
+    finally:
+        opened.close()
+    np.testing.assert_array_equal(states, exported)
+    assert exported[-1][0] > 0.3
+    assert STATE_NAMES == ("x_m", "y_m", "yaw_rad", "v_mps", "w_rps")
+
+
+def test_the_state_of_a_rig_is_that_of_its_wheel_odometry(drives: Dataset, specs: SpecSet) -> None:
+    wheels = WheelOdometry(name="wheels", model="odometry")
+    opened = make(drives, specs=specs, rig=Rig(name="wheels", sensors=(wheels,)))
+    try:
+        opened.reset(seed=0)
+        for _ in range(7):
+            seen = opened.step(np.array((0.5, 0.2)))[0]
+    finally:
+        opened.close()
+    expected = np.concatenate((seen["wheels/poses"], seen["wheels/twists"])).astype(np.float32)
+    np.testing.assert_array_equal(seen["state"], expected)
+    assert seen["state"][3] > 0.1
+
+
+def test_without_state_the_space_is_that_of_version_0_2(drives: Dataset, specs: SpecSet) -> None:
+    opened = make(drives, specs=specs, with_state=False)
+    assert set(opened.observation_space.spaces) == {"rgb", "depth", "instruction"}
+    opened.close()

@@ -7,22 +7,34 @@ import json
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
-from factory.eval.models.messages import PolicyLimits
+from factory.eval.models.messages import EvalSetup, PolicyLimits
+from factory.eval.models.result import Variant
 from factory.eval.policies.registry import find_policy, make_policy
-from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
+from factory.eval.process.local_campaign import run_campaign
+from factory.eval.results.publish import evaluation_of
+from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
+from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, is_better, train_bc
+from factory.train.checkpoint import read_checkpoint
+from factory.train.curve import write_curve
+from factory.train.measures import EpochMeasures, TrainReport
 from factory.train.options import BcOptions
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import install_command
+from schemas.terms import Recording, Split
 from tests.builders.dataset import make_dataset
+from tests.builders.evaluation import open_store
 from tests.builders.needs_torch import needs_torch
 
 INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
@@ -244,3 +256,76 @@ def test_the_command_prints_its_report_and_resumes(root: Path, tmp_path: Path) -
     third = subprocess.run([*base, "--epochs", "2"], capture_output=True, text=True, check=False)
     assert third.returncode == 2
     assert "epochs 1, now 2" in third.stderr
+
+
+@needs_torch
+def test_an_evaluation_counts_the_episodes_that_the_policy_was_trained_on(
+    recordings: dict[Recording, Path], tmp_path: Path
+) -> None:
+    dataset = Dataset(recordings[Recording.FRAMES])
+    (seen,) = dataset.filter(target=dataset.column("target_id").to_pylist()[0]).column("episode_id").to_pylist()
+    order = TrainOrder(dataset.filter(episode=seen), tmp_path / "out", options(epochs=1), device="cpu")
+    train_bc(order, TrainCallbacks(lambda *_: None, lambda *_: None, lambda _: None, lambda: False))
+    specs = specs_of_dataset(dataset, splits_of(dataset, ()))
+    task = specs.settings.task.model_copy(update={"max_steps": 3})
+    specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
+    setup, name = EvalSetup(settings=specs.settings), f"bc:{tmp_path / 'out'}"
+    campaign = Campaign(specs, dataset.root, (name,), (Variant.ORIGINAL,), setup)
+    with open_store(tmp_path / "results", campaign) as store:
+        assert run_campaign(campaign, store, threading.Event(), lambda _pace: None)
+        rows = store.results(name)
+        (policy,) = evaluation_of(campaign, store).policies
+    assert [row.trained_on for row in rows] == [row.spec_id == seen for row in rows]
+    assert policy.training is not None
+    assert (policy.training.trained_on, policy.training.episodes) == (1, 2)
+    assert policy.training.train_digest == dataset.filter(episode=seen).digest
+
+
+def epoch_of(number: int, val_loss: float | None) -> EpochMeasures:
+    values = dict.fromkeys(("val_v_mps", "val_w_rps", "stop_precision", "stop_recall", "pointing"))
+    return EpochMeasures(epoch=number, train_loss=1 / number, val_loss=val_loss, rate=0.001, seconds=1.0, **values)
+
+
+@pytest.mark.parametrize(
+    ("losses", "kept"), [((0.3, 0.1, 0.2), 2), ((0.2, 0.1, 0.1), 2), ((None, None, None), 3), ((0.1, 0.2, 0.3), 1)]
+)
+def test_the_epoch_with_the_smallest_validation_loss_is_kept(losses: tuple[float | None, ...], kept: int) -> None:
+    best: EpochMeasures | None = None
+    for number, loss in enumerate(losses, 1):
+        new = epoch_of(number, loss)
+        best = new if is_better(new, best) else best
+    assert best is not None
+    assert best.epoch == kept
+
+
+def test_the_curve_is_a_picture_and_on_a_page_with_the_next_commands(tmp_path: Path) -> None:
+    epochs = tuple(epoch_of(number, loss) for number, loss in ((1, 0.3), (2, 0.125), (3, 0.2)))
+    numbers = dict.fromkeys(("parameters", "train_episodes", "train_frames", "val_episodes", "val_frames"), 4)
+    report = TrainReport(
+        out="bc", finished=True, options=BcOptions(epochs=3), device="cpu", epochs=epochs, policy_epoch=2, **numbers
+    )
+    write_curve(tmp_path, report, ["factory eval 'my data' --policy bc:bc"])
+    with Image.open(tmp_path / "curve.png") as picture:
+        assert picture.size[0] > 800
+        assert len(set(picture.convert("RGB").getdata())) > 50
+    page = (tmp_path / "index.html").read_text()
+    assert "The policy has the weights of epoch 2 of 3, with the smallest validation loss (0.125)" in page
+    assert page.count("<svg") == 1  # no panel without values
+    assert "2 (policy)" in page
+    assert "factory eval &#39;my data&#39; --policy bc:bc" in page
+
+
+@needs_torch
+def test_the_policy_has_the_weights_of_its_epoch_also_after_an_interruption(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data", 4, splits=(Split.TRAIN_ID, Split.VAL_ID))
+    chosen = options(epochs=6, peak_rate=0.1)
+    for stop_after in (3, 99):
+        train(tmp_path / "data", tmp_path / "out", chosen, stop_after)
+    report = TrainReport.model_validate_json((tmp_path / "out" / "metrics.json").read_bytes())
+    losses = [epoch.val_loss for epoch in report.epochs]
+    assert None not in losses
+    assert report.policy_epoch == 1 + losses.index(min(losses))
+    train(tmp_path / "data", tmp_path / "until", chosen, report.policy_epoch)
+    one, two = weights(tmp_path / "out"), weights(tmp_path / "until")
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+    assert read_checkpoint(tmp_path / "out").meta.epochs_done == report.policy_epoch

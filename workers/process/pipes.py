@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
+from collections.abc import Callable
 from typing import BinaryIO
 
 
@@ -15,8 +16,13 @@ def take_stdout() -> BinaryIO:
     return os.fdopen(reports, "wb", buffering=0)
 
 
-def listen(descriptor: int) -> queue.Queue[bytes]:
-    """Returns a queue of the received lines; this process exits as soon as the other side closes the pipe or dies."""
+def listen(descriptor: int, leave: Callable[[], None] = lambda: None) -> queue.Queue[bytes]:
+    """Returns a queue of the received lines; this process exits as soon as the other side closes the pipe or dies.
+
+    Args:
+        descriptor: file descriptor of the pipe.
+        leave: called before the exit, in another thread than the one that works.
+    """
     lines: queue.Queue[bytes] = queue.Queue()
 
     def read() -> None:
@@ -25,6 +31,7 @@ def listen(descriptor: int) -> queue.Queue[bytes]:
                 for line in stream:
                     if line.endswith(b"\n"):
                         lines.put(line)
+            leave()
         finally:
             os._exit(0)  # the result of the current work is no longer needed
 

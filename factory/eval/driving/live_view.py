@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.driving.simulator import Simulator
@@ -23,6 +24,7 @@ from schemas.rig import CameraOutput, Imu, PinholeCamera, Rig, Sensor, WheelOdom
 from schemas.rig.arrays import arrays_of
 from schemas.rig.requirements import require_sensor_packages
 from schemas.rig.rig_file import paper_rig, require_rates
+from schemas.support.geometry import planar_states
 from workers.sensors.observation import Trajectory, arrays_in, measure, observe
 
 SensorArrays = dict[str, dict[str, NDArray[Any]]]
@@ -63,6 +65,27 @@ def shows_recorded_camera(rig: Rig | None, camera: CameraConfig) -> bool:
         isinstance(each, PinholeCamera) and (each.lens(), each.mount, each.noise) == (paper.lens(), paper.mount, None)
         for each in rig.cameras
     )
+
+
+def live_state(
+    simulator: Simulator, rig: Rig | None = None, sensors: SensorArrays | None = None
+) -> NDArray[np.float32]:
+    """Returns the state (5,) of the robot at the current step, as `observation.state` of an export has it.
+
+    It is x, y in metres and yaw in radians in the frame of the start, and the measured v in m/s and w in rad/s: those
+    of the first wheel odometry of the rig, and without one, those of the simulated poses.
+
+    Args:
+        simulator: Running episode.
+        rig: Rig of the robot; `None` for the recorded camera.
+        sensors: Latest measurements of the rig.
+    """
+    wheels = [] if rig is None else [sensor.name for sensor in rig.sensors if isinstance(sensor, WheelOdometry)]
+    if wheels and sensors is not None:
+        measured = sensors[wheels[0]]
+        return np.concatenate((measured["poses"], measured["twists"])).astype(np.float32)
+    state: NDArray[np.float32] = planar_states(simulator.track, simulator.settings.task.control_hz)[-1]
+    return state
 
 
 class RigSensors:

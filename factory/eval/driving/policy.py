@@ -1,6 +1,6 @@
 """Interface of policies: `reset` with an instruction at the start of an episode, then `act` for each action.
 
-A model receives camera images and the instruction only. This module runs no episodes.
+A model receives camera images, the instruction and odometry only. This module runs no episodes.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import Actions
+from factory.eval.models.result import TrainingNote
+from factory.eval.models.spec import EvalSpec
+from factory.train.options import TrainingStarts
 from schemas.job import Job
 from schemas.terms import ExpertName
 
@@ -31,6 +34,10 @@ class PolicyInput(TypedDict):
     instruction: str
     step: int
     """Number of executed actions, from 0."""
+    state: NotRequired[NDArray[np.float32]]
+    """(5,) odometry and twist: x, y in metres and unwrapped yaw in radians of base_link in the frame of the start pose
+    (x forward, y left), then v in m/s and w in rad/s, measured over the last step. It has the names and the order of
+    `observation.state` in exports. Absent only for blind policies."""
     pose: NotRequired[NDArray[np.float64]]
     """(3,) pose of base_link in the frame of the start pose: x, y in metres, yaw in radians; only with `--pose`."""
 
@@ -128,6 +135,20 @@ class PolicyFailure(Exception):
 
 class ServerUnreachable(Exception):
     """The server of a policy cannot be reached; the evaluation stops and can be resumed."""
+
+
+def training_of(policy: Policy) -> TrainingNote | None:
+    """Returns what a policy states about its training; `None` if it states nothing."""
+    note = getattr(policy, "training", None)
+    return note if isinstance(note, TrainingNote) else None
+
+
+def was_trained_on(policy: Policy, spec: EvalSpec) -> bool | None:
+    """Returns whether a policy was trained on an episode; `None` if it does not state its training episodes."""
+    starts = getattr(policy, "training_starts", None)
+    if not isinstance(starts, TrainingStarts):
+        return None
+    return starts.holds(spec.scene_sha256, spec.target_id, spec.spawn_pose)
 
 
 def uses_camera(policy: Policy) -> bool:

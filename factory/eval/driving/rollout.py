@@ -5,6 +5,7 @@ Starts no processes and writes no files.
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections.abc import Iterator
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 
 from factory.eval.driving import measure
 from factory.eval.driving.action import read_actions
-from factory.eval.driving.live_view import RigSensors, shows_recorded_camera
+from factory.eval.driving.lazy_input import LazyInput
+from factory.eval.driving.live_view import RigSensors, live_state, shows_recorded_camera
 from factory.eval.driving.measure import odometry, yaws_of
 from factory.eval.driving.policy import (
     EpisodeInfo,
@@ -31,19 +33,25 @@ from factory.eval.driving.policy import (
     ServerUnreachable,
     kind_of_actions,
     uses_camera,
+    was_trained_on,
 )
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalRequest, EvalTask
-from factory.eval.models.result import EpisodeResult, EvalEnd
+from factory.eval.models.result import REAL, EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
+from schemas.frame import Frame
 from schemas.measure import Goal
 from schemas.rig import Rig
 from schemas.support.geometry import footprint_distances
 from workers.experts.observation import Observation
+from workers.geometry.slew import Twist
 from workers.sim.context import LoadedScene
 
 TRACK_HZ = 10
+_REST = Twist(0.0, 0.0)
+_STEP_SLACK = 1e-6
+"""Rounding error of a latency in control periods, of which each started one counts."""
 
 
 class PolicyCallObserver(Protocol):
@@ -54,6 +62,12 @@ class PolicyCallObserver(Protocol):
 
     def after_call(self) -> None:
         """Called after a call of the policy returned or raised."""
+
+    def before_render(self) -> None:
+        """Called within a call of the policy, before the images that it reads are rendered."""
+
+    def after_render(self) -> None:
+        """Called after the images were rendered."""
 
 
 def run_episode(
@@ -90,6 +104,8 @@ class _EpisodeRun:
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
+    held: Twist = _REST
+    """Last twist that the policy requested, which the robot keeps while the policy thinks."""
 
     sensors: RigSensors | None = None
     """Sensors of the rig; `None` without a rig."""
@@ -137,14 +153,44 @@ class _EpisodeRun:
     def _act_once(self, view: Observation) -> Observation:
         """Calls `act` once and executes the returned actions."""
         observation = self._observation(view)
-        with self._policy_call(view):
-            answer = self.policy.act(observation)
+        before_s = self.act_s
+        try:
+            with self._policy_call(view):
+                answer = self.policy.act(observation)
+        except PolicyFailure:
+            if isinstance(observation, LazyInput) and observation.failure is not None:
+                raise observation.failure from None
+            raise
+        if isinstance(observation, LazyInput):
+            self.act_s -= observation.seconds  # the time of the renderer is none of the policy
         self.answers += 1
+        view = self._wait(view, self.act_s - before_s)
+        if view.end is not None:
+            return view
         robot = self.simulator.settings.robot
         chunk = read_actions(answer, kind_of_actions(self.policy), robot.max_speed_mps, robot.max_yaw_rate_rps)
         self.clipped += chunk.beyond
         for twist in chunk.twists:
-            view = self.simulator.step(twist)
+            view, self.held = self.simulator.step(twist), twist
+            if view.end is not None:
+                break
+        return view
+
+    def _wait(self, view: Observation, thought_s: float) -> Observation:
+        """Moves the world for the latency of an answer, with the former command, and returns the view.
+
+        The first answer of an episode takes no time, because the episode begins with the first action.
+
+        Args:
+            view: Current view.
+            thought_s: Measured time of the answer, seconds.
+        """
+        latency = self.task.setup.latency
+        if latency is None or self.answers == 1:
+            return view
+        seconds = thought_s if latency == REAL else latency / 1000
+        for _ in range(math.ceil(seconds * self.simulator.settings.task.control_hz - _STEP_SLACK)):
+            view = self.simulator.step(self.held)
             if view.end is not None:
                 break
         return view
@@ -154,13 +200,21 @@ class _EpisodeRun:
         if not uses_camera(self.policy):
             return cast(PolicyInput, {"instruction": words, "step": step})  # the policy does not use images
         seen = PolicyInput(instruction=words, step=step)
-        if shows_recorded_camera(self.rig, self.simulator.settings.camera):
-            seen |= {"rgb": view.frame.rgb, "depth": view.frame.depth}
         if self.sensors is not None:
             seen["sensors"] = self.sensors.measure()
+        seen["state"] = live_state(self.simulator, self.rig, seen.get("sensors"))
         if self.request.with_pose:
             seen["pose"] = odometry(self.simulator.track)
-        return seen
+        if not shows_recorded_camera(self.rig, self.simulator.settings.camera):
+            return seen
+        return cast(PolicyInput, LazyInput(seen, lambda: self._render(view)))
+
+    def _render(self, view: Observation) -> Frame:
+        self.observer.before_render()
+        try:
+            return view.frame
+        finally:
+            self.observer.after_render()
 
     @contextmanager
     def _policy_call(self, view: Observation) -> Iterator[None]:
@@ -232,6 +286,7 @@ def _measured(
         clipped_actions=drive.clipped,
         act_ms=1000 * drive.act_s / max(1, drive.answers),
         seconds=seconds,
+        trained_on=was_trained_on(drive.policy, spec),
         track=thin_track(track, rules.control_hz),
     )
 

@@ -11,7 +11,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.models.result import EpisodeResult, Latency, TrainingNote, Variant
 from factory.eval.models.spec import EvalSettings, EvalSpec
 from schemas.base import Model, Name, Positive, Sha256
 from schemas.terms import RendererKind
@@ -52,6 +52,10 @@ class PolicyLimits(Model):
 
 class EvalSetup(PolicyLimits):
     """Settings of all tasks of a campaign."""
+
+    latency: Latency | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Time that passes in the simulation while the policy thinks: milliseconds, or `real` for the measured time. `None`
+    and omitted if the simulation waits for the policy."""
 
     settings: EvalSettings
     renderer: RendererKind = "auto"
@@ -108,6 +112,8 @@ class EvalReport(Model):
     result: EpisodeResult | None = None
     made_from: dict[str, str] = Field(default={}, max_length=1001)
     """Hashes of the policy, in a report of kind `policy`."""
+    training: TrainingNote | None = None
+    """Training of the policy, in a report of kind `policy`; `None` if it is not known."""
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -41,6 +41,20 @@ class EvalEnd(StrEnum):
     @property
     def is_of_the_policy(self) -> bool:
         return self.value.startswith("policy_")
+
+
+REAL: Final = "real"
+MAX_LATENCY_MS = 60_000.0
+Latency = Literal["real"] | Annotated[float, Field(ge=0, le=MAX_LATENCY_MS)]
+"""Time that passes in the simulation for each answer of a policy: milliseconds, or `real` for the measured time."""
+
+
+class TrainingNote(Model):
+    """What a policy states about its training."""
+
+    digest: Sha256
+    """Digest of the training episodes, as `Dataset.digest` returns it."""
+    episodes: Annotated[int, Field(ge=1)]
 
 
 class EpisodeResult(Model):
@@ -98,6 +112,9 @@ class EpisodeResult(Model):
     """Mean wall time of a policy call, milliseconds; not reproducible."""
     seconds: NonNegative
     """Wall time of the episode, seconds; not reproducible."""
+    trained_on: bool | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Whether the policy was trained on an episode with the same scene, target and start; `None` and omitted if the
+    policy does not state its training episodes."""
     track: tuple[tuple[float, float, float], ...]
     """x, y in metres (to 1 mm) and yaw in radians (to 1 mrad), at 10 Hz and at the last frame."""
 
@@ -105,6 +122,14 @@ class EpisodeResult(Model):
     def key(self) -> tuple[str, Variant, str]:
         """Key among the results of its policy, equal to the key of its request."""
         return self.spec_id, self.variant, self.instruction
+
+    @property
+    def oracle_success(self) -> bool:
+        """Whether the robot was within the success radius at any time (oracle success of VLN-CE).
+
+        Without a goal, which is the case for a false premise, it is the success.
+        """
+        return self.progress_normalised >= 1.0
 
     @property
     def is_grounded(self) -> bool:

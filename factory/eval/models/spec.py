@@ -110,9 +110,14 @@ class SpecSet(Model):
         """SHA-256 of settings and specs, which determine the results."""
         return hashlib.sha256(canonical_json(self, exclude={"source", "run"}).encode()).hexdigest()
 
-    def spec_digest(self, spec: EvalSpec) -> str:
-        """Returns the SHA-256 of a spec with the settings; results with equal digests are comparable."""
-        text = canonical_json(self.settings) + canonical_json(spec)
+    def spec_digest(self, spec: EvalSpec, latency: float | str | None = None) -> str:
+        """Returns the SHA-256 of a spec with the settings; results with equal digests are comparable.
+
+        Args:
+            spec: Spec of the set.
+            latency: Latency of the policies, which results have to share; `None` without one.
+        """
+        text = canonical_json(self.settings) + canonical_json(spec) + ("" if latency is None else f"latency {latency}")
         return hashlib.sha256(text.encode()).hexdigest()
 
     def only(self, splits: frozenset[Split] | None = None, episodes: int | None = None) -> SpecSet:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
+from factory.eval.models.result import TrainingNote
 from factory.train import preprocess
 from factory.train.checkpoint import POLICY, checkpoint_path, read_checkpoint
 from factory.train.torch_import import load_torch
@@ -50,6 +51,7 @@ class BcPolicy:
         name: Training folder, or its `policy.pt`.
     """
 
+    knows: ClassVar[str] = "camera and instruction"
     needs: ClassVar[tuple[str, ...]] = ("rgb", "depth")
     """Inputs without which the policy is refused."""
 
@@ -61,6 +63,8 @@ class BcPolicy:
         torch.set_num_threads(1)  # a driver process uses one core
         checkpoint = read_checkpoint(path)
         self.meta = checkpoint.meta
+        self.training = TrainingNote(digest=self.meta.train_digest, episodes=self.meta.train_episodes)
+        self.training_starts = self.meta.starts
         self._network = BcNetwork(self.meta.options, len(self.meta.words))
         try:
             self._network.load_state_dict(checkpoint.tensors["model"])

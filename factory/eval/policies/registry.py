@@ -15,7 +15,8 @@ from pydantic import Field
 
 from factory.eval.driving.live_view import live_arrays, shows_recorded_camera
 from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy, needs_of
-from factory.eval.models.messages import EvalTask, PolicyLimits
+from factory.eval.models.messages import EvalReport, EvalTask, PolicyLimits
+from factory.eval.models.result import TrainingNote
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import ExpertPolicy, PlaybackPolicy, RandomPolicy, ReplayPolicy, StopPolicy
@@ -43,21 +44,24 @@ class PolicyNote(Model):
     made_from: dict[str, str] = Field(default={}, max_length=1001, exclude_if=lambda it: not it)
     """SHA-256 of each file of the policy, or of its server's greeting; omitted for built-in policies without a file,
     and in results of older versions."""
+    training: TrainingNote | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Training of the policy; `None` and omitted if it is not known."""
     order_dependence: str | None = Field(default=None, exclude_if=lambda it: it is None)
     """How an episode that was repeated alone in a new process differs from its result; null and omitted if it does not
     differ, or if none was repeated."""
 
 
-def note_of(task: EvalTask, knows: str, renderer: str, made_from: dict[str, str]) -> PolicyNote:
-    """Returns the metadata of the policy of a task, which was created on this machine."""
+def note_of(task: EvalTask, made: EvalReport, renderer: str) -> PolicyNote:
+    """Returns the metadata of the policy of a task from the report of its creation on this machine."""
     return PolicyNote(
         policy=task.policy,
         reference="" if task.reference == task.policy else task.reference,
-        knows=knows,
+        knows=made.detail,
         reads_instruction=find_policy(task.reference).reads_instruction,
         renderer=renderer,
         software=software_versions(),
-        made_from=made_from,
+        made_from=made.made_from,
+        training=made.training,
     )
 
 
@@ -249,7 +253,7 @@ def require_inputs(name: str, policy: Policy, rig: Rig | None, camera: CameraCon
     Raises:
         UsageError: An input is missing.
     """
-    given = ["rgb", "depth"] if shows_recorded_camera(rig, camera) else []
+    given = ["state", *(("rgb", "depth") if shows_recorded_camera(rig, camera) else ())]
     for sensor in rig.sensors if rig else ():
         given += [sensor.name, *(f"{sensor.name}/{array}" for array in live_arrays(sensor))]
     missing = [need for need in needs_of(policy) if need not in given]
@@ -276,7 +280,7 @@ def file_of(name: str) -> Path | None:
 
 def describe_knowledge(policy: Policy) -> str:
     """Returns a description of the information that a policy uses, for the results."""
-    return policy.knows if isinstance(policy, BlindPolicy) else "camera and instruction"
+    return policy.knows if isinstance(policy, BlindPolicy | BcPolicy) else "camera, instruction and odometry"
 
 
 def _expert_name(rest: str) -> ExpertName:

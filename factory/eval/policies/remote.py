@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+import weakref
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -96,12 +97,21 @@ def _msgpack() -> Any:
     return msgpack
 
 
+_OPEN: weakref.WeakSet[RemotePolicy] = weakref.WeakSet()
+
+
+def close_connections() -> None:
+    """Closes the connections of this process, so that no server logs the end of an evaluation as an error."""
+    for policy in list(_OPEN):
+        policy.close()
+
+
 class RemotePolicy:
     """Policy that requests each action from a server.
 
-    A request contains `rgb`, `depth`, `prompt` (the instruction), `step` (0 starts an episode), `episode` and `seed`,
-    with `--pose` also `pose`, and with a rig `sensors` (maps of arrays by sensor). The reply contains `actions` (v, w)
-    or `tokens`, of shape (2,) or as a chunk (H, 2).
+    A request contains `rgb`, `depth`, `state`, `prompt` (the instruction), `step` (0 starts an episode), `episode` and
+    `seed`, with `--pose` also `pose`, and with a rig `sensors` (maps of arrays by sensor). The reply contains `actions`
+    (v, w) or `tokens`, of shape (2,) or as a chunk (H, 2).
     """
 
     def __init__(self, address: str, limits: PolicyLimits) -> None:
@@ -111,6 +121,7 @@ class RemotePolicy:
         self._has_answered = False
         """Whether this connection has received a reply; the first reply has a longer timeout."""
         self._held = ExitStack()
+        _OPEN.add(self)
         self._connect(min(limits.reconnect_s, limits.load_timeout_s))
 
     @property

@@ -24,13 +24,14 @@ import traceback
 from collections.abc import Callable
 
 from factory.dataset.packages import light_file
-from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerUnreachable
+from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerUnreachable, training_of
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalSetup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies.made_from import hashes_of
 from factory.eval.policies.registry import describe_knowledge, file_of, make_policy, require_inputs
+from factory.eval.policies.remote import close_connections
 from factory.eval.process.shared_status import Activity, SharedStatus, StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
@@ -48,7 +49,7 @@ def main() -> int:
     faulthandler.enable()
     shared = SharedStatus(arguments.status)
     out = take_stdout()
-    lines = listen(0)
+    lines = listen(0, close_connections)
 
     def tell(report: EvalReport) -> None:
         out.write(to_line(report))
@@ -141,7 +142,15 @@ class _Driver:
             self._status.is_warm = False
             self._status.is_privileged = isinstance(self._policy, PrivilegedPolicy)
             knows, hashes = describe_knowledge(policy), hashes_of(reference, policy, file)
-            self._tell(EvalReport(kind=EvalReportKind.POLICY, number=order.task.number, detail=knows, made_from=hashes))
+            self._tell(
+                EvalReport(
+                    kind=EvalReportKind.POLICY,
+                    number=order.task.number,
+                    detail=knows,
+                    made_from=hashes,
+                    training=training_of(policy),
+                )
+            )
         return self._policy
 
 

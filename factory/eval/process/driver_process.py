@@ -36,7 +36,24 @@ or computing metrics."""
 _GRACE_S = 5.0
 """Additional time before a process with a policy on a server is killed, seconds. Such a policy enforces its time limit
 itself."""
+_LEAVE_S = 2.0
+"""Time for a process to close the connection to its policy server, seconds."""
 _MOST_OUTPUT_CHARS = 300
+
+
+class Waiting(NamedTuple):
+    """Wait of a driver process for its policy."""
+
+    is_first: bool
+    """Whether it waits for the creation, a reset or the first answer, otherwise for another answer."""
+    seconds: float
+    limit_s: float
+
+    @property
+    def description(self) -> str:
+        if self.is_first:
+            return f"waiting for loading, reset or first answer, at most {self.limit_s:g} s (--load-timeout)"
+        return f"waiting for an answer, at most {self.limit_s:g} s (--act-timeout)"
 
 
 class DriverEnded(NamedTuple):
@@ -55,16 +72,27 @@ class DriverProcess:
     def __init__(self) -> None:
         self._setup: EvalSetup | None = None
         self._renders_apart = False
-        self._process = ChildProcess(read_report)
+        self._process = ChildProcess(read_report, leave_s=_LEAVE_S)
         self._status: SharedStatus | None = None
         self.current: EvalTask | None = None
         """Task in progress; `None` without one."""
-        self.made: dict[str, str] = {}
-        """Policy name -> description of the information it uses, for policies created in this process."""
-        self.made_from: dict[str, dict[str, str]] = {}
-        """Policy name -> hashes of what the policy consists of, for policies created in this process."""
+        self.made: dict[str, EvalReport] = {}
+        """Policy name -> report of its creation, for policies created in this process: the information that it uses,
+        the hashes of what it consists of, and its training."""
         self.renderer = ""
         """Description of the renderer; empty until the process reports it."""
+
+    @property
+    def waiting(self) -> Waiting | None:
+        """What the process waits for, if it waits for the policy; `None` otherwise."""
+        if self._status is None or self.current is None:
+            return None
+        state, setup = self._status.read(), self.current.setup
+        if state.busy not in {Activity.MAKING, Activity.ASKING}:
+            return None
+        is_first = state.busy is Activity.MAKING
+        limit_s = setup.load_timeout_s if is_first else setup.act_timeout_s
+        return Waiting(is_first, time.monotonic() - state.since_s, limit_s)
 
     @property
     def pid(self) -> int | None:
@@ -85,7 +113,7 @@ class DriverProcess:
         task = order.task
         if task.setup != self._setup:
             self.kill()
-            self._setup, self.made, self.made_from = task.setup, {}, {}
+            self._setup, self.made = task.setup, {}
         if renders_apart(task.reference) and not self._renders_apart:
             self.kill()
             self._renders_apart = True
@@ -123,8 +151,7 @@ class DriverProcess:
         if report.kind is EvalReportKind.READY:
             self.renderer = report.detail
         elif report.kind is EvalReportKind.POLICY and self.current is not None:
-            self.made[self.current.policy] = report.detail
-            self.made_from[self.current.policy] = report.made_from
+            self.made[self.current.policy] = report
         else:
             return True
         return False

@@ -5,6 +5,7 @@ Owns the driver processes and kills them at the end. Prints nothing; a callback 
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask
-from factory.eval.models.result import EpisodeResult
+from factory.eval.models.result import REAL, EpisodeResult
 from factory.eval.policies.made_from import another_policy
 from factory.eval.policies.registry import note_of, renders_apart
 from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
@@ -22,6 +23,8 @@ from factory.eval.specs.from_dataset import LoadedScenes
 from schemas.errors import UsageError, WorldError
 
 _POLL_S = 0.05
+_LONG_WAIT_S = 2.0
+"""Time after which a wait for a policy is shown, seconds."""
 _TRIES = 2
 """Number of attempts at an episode in which the driver process dies outside of policy calls. After the last one, the
 campaign stops with an error."""
@@ -52,6 +55,8 @@ class Pace:
     """Finished episodes of the policy, including earlier runs."""
     total: int
     successes: int
+    waiting: str = ""
+    """What the policy is waited for, with the limit; empty unless a long wait begins."""
 
 
 PaceCallback = Callable[[Pace], None]
@@ -102,6 +107,8 @@ class _PolicyCampaign:
         self._drivers, self._stop, self._tell = drivers, stop, tell
         self._deaths: dict[int, int] = {}
         self._driven: Counter[DriverProcess] = Counter()
+        self._shown_waits: set[bool] = set()
+        """Kinds of waits that were shown (`Waiting.is_first`)."""
         self._checked: dict[DriverProcess, dict[str, str]] = {}
         """Hashes of the policy that each process reported last, which agree with the stored ones."""
         self._repeatable: tuple[EvalTask, EpisodeResult] | None = None
@@ -120,10 +127,21 @@ class _PolicyCampaign:
                 self._keep(result)
                 pace = Pace(self._policy, pace.done + 1, pace.total, pace.successes + result.success)
                 self._tell(pace)
+            if text := self._long_wait():
+                self._tell(dataclasses.replace(pace, waiting=text))
         if pace.done < pace.total:
             return False
         self._repeat_alone()
         return True
+
+    def _long_wait(self) -> str:
+        """Returns the description of a wait that became long, each kind once; empty without one."""
+        for driver in self._drivers:
+            waiting = driver.waiting
+            if waiting is not None and waiting.seconds > _LONG_WAIT_S and waiting.is_first not in self._shown_waits:
+                self._shown_waits.add(waiting.is_first)
+                return waiting.description
+        return ""
 
     def _poll_drivers(self, waiting: deque[EvalTask]) -> Iterator[EpisodeResult]:
         """Sends a task to every idle driver, polls every busy one once, and yields the results."""
@@ -154,6 +172,8 @@ class _PolicyCampaign:
         The built-in policies without a network keep no state, and the state of a server is out of reach.
         """
         note = self._store.note_of(self._policy)
+        if self._campaign.setup.latency == REAL:
+            return  # the measured times differ
         if self._repeatable is None or not renders_apart(self._campaign.reference(self._policy)) or note is None:
             return
         (task, former), driver = self._repeatable, self._drivers[0]
@@ -206,7 +226,8 @@ class _PolicyCampaign:
         Raises:
             UsageError: it has; the message contains both hashes.
         """
-        hashes = driver.made_from.get(self._policy)
+        made = driver.made.get(self._policy)
+        hashes = None if made is None else made.made_from
         if hashes is None or self._checked.get(driver) is hashes:  # a restarted process reports another dictionary
             return
         note = self._store.note_of(self._policy)
@@ -223,6 +244,5 @@ class _PolicyCampaign:
     def _keep(self, result: EpisodeResult) -> None:
         driver = self._made()
         if driver is not None and self._store.note_of(self._policy) is None:
-            hashes = driver.made_from.get(self._policy, {})
-            self._store.note(note_of(self._tasks[0], driver.made[self._policy], driver.renderer, hashes))
+            self._store.note(note_of(self._tasks[0], driver.made[self._policy], driver.renderer))
         self._store.add(result)

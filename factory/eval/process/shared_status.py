@@ -92,6 +92,8 @@ class StatusWriter:
         self._state = DriverStatus()
         self._last: tuple[float, float] | None = None
         self._calls = 0
+        self._asked = self._state
+        """Status before the images were rendered within a call of the policy."""
         self.is_warm = False
         """Whether the policy has returned an action; until then, the longer `load_timeout_s` applies."""
         self.is_privileged = False
@@ -129,3 +131,14 @@ class StatusWriter:
         """Writes the activity after a policy call."""
         self.is_warm = self.is_warm or self._calls > 1  # the first call is the reset
         self.note(Activity.SIMULATING)
+
+    def before_render(self) -> None:
+        """Writes that the simulation renders, which does not count for the time limit of the policy."""
+        self._asked = self._state
+        self.note(Activity.SIMULATING)
+
+    def after_render(self) -> None:
+        """Writes that the policy continues."""
+        paused_s = time.monotonic() - self._state.since_s
+        self._state = self._asked._replace(since_s=self._asked.since_s + paused_s)
+        self._shared.write(self._state)

@@ -78,8 +78,7 @@ class _EvalWorker:
         if isinstance(result, worker.SimulationReport):
             self.tell(result)
         else:
-            hashes = driver.made_from.get(task.policy, {})
-            note = note_of(task, driver.made[task.policy], driver.renderer, hashes)
+            note = note_of(task, driver.made[task.policy], driver.renderer)
             self.tell(_seal(ResultBundle(result=result, note=note), order.bundle_path, time.monotonic() - started))
 
     def _wait(self) -> Outcome | DriverEnded:

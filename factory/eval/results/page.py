@@ -26,6 +26,7 @@ from factory.stats.statistics import Share
 _HEAD = (
     "n",
     "SR, %",
+    "oracle success, %",
     "any instance, %",
     *(
         TITLES[name]
@@ -261,6 +262,7 @@ def _cells(score: Score) -> Sequence[MeasureCell]:
     return (
         MeasureCell(str(score.n)),
         _share(score.success),
+        _share(score.oracle_success),
         _share(score.any_instance),
         _estimate(score.spl),
         _estimate(score.soft_spl),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,16 +11,18 @@ from typing import NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from factory.eval.models.result import EpisodeResult, Variant
-from factory.eval.models.spec import SpecSet
+from factory.dataset.reader import Dataset
+from factory.eval.models.result import REAL, EpisodeResult, Variant
+from factory.eval.models.spec import EvalSpec, SpecSet
+from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.compare import PairedComparison, choose_different, compare_all, pairs_of, require_common
 from factory.eval.results.estimate import FEW
 from factory.eval.results.page import EpisodeFilm, Names, write_comparison_page, write_page
-from factory.eval.results.score import Evaluation, score_policy
+from factory.eval.results.score import EvalLimits, Evaluation, TrainingOverlap, score_policy
 from factory.eval.results.store import PolicyResults, Store, folder_name
 from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_pair, draw_poster
 from factory.eval.specs.campaign import Campaign
-from factory.eval.specs.from_dataset import LoadedScenes
+from factory.eval.specs.from_dataset import TRAINED_ON, LoadedScenes
 from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
 from schemas.storage.disk import replacing
@@ -181,7 +184,8 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
             raise WorldError(f"{store.root} has no description of policy {name}; run the same command again")
         expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
         is_complete = is_complete and len(results) >= expected
-        scores.append(score_policy(name, results, note))
+        overlap = training_overlap(campaign, note, [row for row in results if row.variant is Variant.ORIGINAL])
+        scores.append(score_policy(name, results, note).model_copy(update={"training": overlap}))
         runs.append(results)
     return Evaluation(
         run=campaign.specs.run,
@@ -190,12 +194,53 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         episodes=len(campaign.specs.specs),
         success=campaign.specs.settings.task.success,
         success_radius_m=campaign.specs.settings.task.success_radius_m,
+        limits=EvalLimits(
+            max_steps=campaign.specs.settings.task.max_steps,
+            control_hz=campaign.specs.settings.task.control_hz,
+            act_timeout_s=campaign.setup.act_timeout_s,
+            load_timeout_s=campaign.setup.load_timeout_s,
+        ),
+        latency=campaign.setup.latency,
         view=campaign.setup.view,
         complete=is_complete,
         policies=tuple(scores),
         comparisons=tuple(compare_all(runs)),
         remarks=(*_order_dependences(campaign, store), *_remarks(campaign)),
     )
+
+
+def training_overlap(campaign: Campaign, note: PolicyNote, results: Sequence[EpisodeResult]) -> TrainingOverlap | None:
+    """Returns how many of the evaluated episodes a policy was trained on; `None` if its training is not known.
+
+    Args:
+        campaign: Evaluated campaign.
+        note: Metadata of the policy, with its training.
+        results: Results of the policy with the original instructions.
+    """
+    training, dataset = note.training, Dataset(campaign.root)
+    if training is None:
+        return None
+    specs = campaign.specs.specs
+    known = set(dataset.column("episode_id").to_pylist()) if dataset.meta.run == campaign.specs.run else set()
+    names = [spec.source_episode for spec in specs if spec.source_episode in known]
+    flags = [row.trained_on for row in results if row.trained_on is not None]
+    # a checkpoint of format 2 has a digest only, which equals that of a whole split of the dataset, or is unknown
+    trained_on = sum(flags) if flags else _in_trained_split(dataset, training.digest, specs, known)
+    return TrainingOverlap(
+        train_digest=training.digest,
+        train_episodes=training.episodes,
+        evaluation_digest=dataset.filter(episode=[name for name in names if name]).digest if names else None,
+        episodes=len(specs),
+        trained_on=trained_on,
+    )
+
+
+def _in_trained_split(dataset: Dataset, digest: str, specs: Sequence[EvalSpec], known: set[str]) -> int | None:
+    """Returns the number of specs from the split of the dataset with this digest; `None` without such a split."""
+    for split in sorted(set(dataset.column("split").to_pylist())):
+        if dataset.filter(split=split).digest == digest:
+            return len([spec for spec in specs if str(spec.split) == split and spec.source_episode in known])
+    return None
 
 
 def _order_dependences(campaign: Campaign, store: Store) -> Iterator[str]:
@@ -212,6 +257,18 @@ def _remarks(campaign: Campaign) -> list[str]:
     remarks = []
     if len(specs) < FEW:
         remarks.append(f"{len(specs)} episodes are few, so the intervals are wide; evaluate at least {FEW}")
+    counts = Counter(spec.split for spec in specs)
+    if trained := [f"{counts[split]} of {split}" for split in TRAINED_ON if counts[split]]:
+        remarks.append(
+            f"{' and '.join(trained)} are among the {len(specs)} episodes: a policy that was trained or selected on "
+            "this dataset knows them; the default is the test splits only"
+        )
+    if (latency := campaign.setup.latency) is not None:
+        taken = "the measured time, so these results are not reproducible" if latency == REAL else f"{latency:g} ms"
+        remarks.append(
+            f"latency: each answer of a policy after the first of an episode takes {taken}; the robot keeps its former "
+            "command meanwhile. Results with another latency are not comparable"
+        )
     if campaign.setup.view != ViewSettings():
         remarks.append(f"view of the policies: {campaign.setup.view.describe()}")
     if moved:
@@ -233,7 +290,7 @@ def _write(path: Path, data: bytes) -> None:
 
 def _flat(row: EpisodeResult) -> dict[str, object]:
     """Returns the row with its track as three list columns."""
-    data = row.model_dump(mode="json", exclude={"track"})
+    data = row.model_dump(mode="json", exclude={"track"}) | {"oracle_success": row.oracle_success}
     for number, name in enumerate(("track_x_m", "track_y_m", "track_yaw_rad")):
         data[name] = [pose[number] for pose in row.track]
     return data

@@ -12,13 +12,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from factory.eval.models.result import BOUNDS, MEANS, RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
+from factory.eval.models.result import BOUNDS, MEANS, RESULTS_FORMAT, EpisodeResult, EvalEnd, Latency, Variant
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import NO_VALUES, IntervalEstimate, difference_of_shares, mcnemar_p, means_of
 from factory.stats.measures import share_of
 from factory.stats.statistics import Share
-from schemas.base import Fraction, Model, Name, Sha256
+from schemas.base import Fraction, Model, Name, Positive, Sha256
 from schemas.instruction.templates import TEMPLATES
 from schemas.terms import CATEGORIES, Split, SuccessMeasure, Tier, family_of
 from schemas.view import ViewSettings
@@ -72,6 +72,7 @@ GROUPS: Mapping[str, str] = MappingProxyType(
 )
 """Kind of group -> title of its table."""
 
+NO_SHARE = Share(count=0, of=0, share=None, low=None, high=None)
 ALL = "all"
 GROUNDED = "two or more categories in view"
 
@@ -85,6 +86,8 @@ class Score(Model):
     n: Annotated[int, Field(ge=0)]
     success: Share
     """SR: share of episodes that stopped within the success radius of the target."""
+    oracle_success: Share = NO_SHARE
+    """Share of episodes in which the robot was within the success radius of the target at any time."""
     any_instance: Share
     """SR if every object of the target's category counts as the target."""
     collision: Share
@@ -134,6 +137,20 @@ class Ablation(Model):
         return IntervalEstimate(n=gap.n, mean=-gap.mean, low=-gap.high, high=-gap.low)
 
 
+class TrainingOverlap(Model):
+    """Training episodes of a policy among the evaluated episodes."""
+
+    train_digest: Sha256
+    """Digest of the training episodes."""
+    train_episodes: Annotated[int, Field(ge=1)]
+    evaluation_digest: Sha256 | None
+    """Digest of the archived episodes that the specs come from, by the same definition; `None` without any."""
+    episodes: Annotated[int, Field(ge=0)]
+    """Number of evaluated episodes."""
+    trained_on: Annotated[int, Field(ge=0)] | None
+    """How many of them the policy was trained on; `None` if it is not known."""
+
+
 class PolicyScores(Model):
     """Tables of one policy."""
 
@@ -141,7 +158,7 @@ class PolicyScores(Model):
     reference: str = Field(default="", exclude_if=lambda it: not it)
     """What a policy with a separate name refers to; empty and omitted for other policies."""
     knows: str
-    """Information used by the policy; models use camera and instruction only."""
+    """Information used by the policy; models use camera, instruction and odometry only."""
     reads_instruction: bool
     """Whether the policy uses the instruction; otherwise the other variants are not run."""
     overall: Score
@@ -149,6 +166,8 @@ class PolicyScores(Model):
     ends: dict[EvalEnd, int]
     made_from: dict[str, str] = Field(default={}, max_length=1001, exclude_if=lambda it: not it)
     """SHA-256 of each file of the policy, or of its server's greeting."""
+    training: TrainingOverlap | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Overlap of training and evaluation; `None` and omitted if the policy does not state its training."""
     faults: tuple[FaultCount, ...] = ()
     """Policy failures under all instruction variants."""
     ablation: tuple[Ablation, ...]
@@ -163,6 +182,25 @@ class PolicyScores(Model):
     @property
     def only_failed(self) -> bool:
         return 0 < self.overall.n == self.overall.policy_failure.count
+
+
+class EvalLimits(Model):
+    """Limits of the episodes and of the policies."""
+
+    max_steps: Annotated[int, Field(ge=1)]
+    """Step limit of an episode."""
+    control_hz: Annotated[int, Field(ge=1)]
+    act_timeout_s: Positive
+    """Time limit of an answer, seconds."""
+    load_timeout_s: Positive
+    """Time limit of the creation of a policy, of a reset, and of the first answer, seconds."""
+
+    def describe(self) -> str:
+        return (
+            f"{self.max_steps} steps ({self.max_steps / self.control_hz:.3g} s) for an episode; "
+            f"{self.act_timeout_s:g} s for an answer; "
+            f"{self.load_timeout_s:g} s for loading a policy, a reset and the first answer"
+        )
 
 
 class Evaluation(Model):
@@ -180,6 +218,10 @@ class Evaluation(Model):
     success_radius_m: float
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
     """View settings of the observations; omitted for the recorded camera."""
+    limits: EvalLimits | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Limits of the evaluation; `None` in results of older versions."""
+    latency: Latency | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Time that passes in the simulation for each answer of a policy; `None` and omitted if the simulation waits."""
     complete: bool
     """Whether every episode of every policy is finished."""
     policies: tuple[PolicyScores, ...]
@@ -218,17 +260,19 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
         note: Metadata of the policy.
     """
     original = [row for row in results if row.variant is Variant.ORIGINAL]
+    # the measures of a policy that failed in every episode describe its faults, not the policy
+    is_evaluated = not original or any(not row.end.is_of_the_policy for row in original)
     return PolicyScores(
         policy=policy,
         reference=note.reference,
         knows=note.knows,
         reads_instruction=note.reads_instruction,
-        overall=score(ALL, ALL, original),
-        groups=tuple(_grouped(original)),
+        overall=score(ALL, ALL, original, is_evaluated),
+        groups=tuple(_grouped(original, is_evaluated)),
         ends=dict(sorted(Counter(row.end for row in original).items())),
         made_from=note.made_from,
         faults=faults_of(results),
-        ablation=tuple(_ablations(results)),
+        ablation=tuple(_ablations(results)) if is_evaluated else (),
         act_ms=sum(row.act_ms for row in original) / len(original) if original else None,
     )
 
@@ -243,18 +287,28 @@ def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[st
                     yield name, policy, group
 
 
-def score(by: str, group: str, rows: Sequence[EpisodeResult]) -> Score:
+def score(by: str, group: str, drives: Sequence[EpisodeResult], has_measures: bool = True) -> Score:
+    """Returns the metrics of a group of episodes.
+
+    Args:
+        by: Kind of group.
+        group: Name of the group.
+        drives: Results of the group.
+        has_measures: Whether the policy was evaluated; otherwise only the policy failures are counted.
+    """
+    rows = drives if has_measures else ()
     means = means_of({name: [getattr(row, field) for row in rows] for name, field in MEANS.items()}, BOUNDS)
     steps = sum(row.num_steps for row in rows)
     return Score(
         by=by,
         group=group,
-        n=len(rows),
+        n=len(drives),
         success=_share(rows, lambda row: row.success),
+        oracle_success=_share(rows, lambda row: row.oracle_success),
         any_instance=_share(rows, lambda row: row.any_instance),
         collision=_share(rows, lambda row: row.end is EvalEnd.COLLISION),
         timeout=_share(rows, lambda row: row.end is EvalEnd.TIMEOUT),
-        policy_failure=_share(rows, lambda row: row.end.is_of_the_policy),
+        policy_failure=_share(drives, lambda row: row.end.is_of_the_policy),
         contact=_share(rows, lambda row: row.contact_steps > 0),
         clipped=min(1.0, sum(row.clipped_actions for row in rows) / steps) if steps else None,
         **means,
@@ -265,13 +319,13 @@ def _share(rows: Sequence[EpisodeResult], holds: Callable[[EpisodeResult], bool]
     return share_of(sum(map(holds, rows)), len(rows))
 
 
-def _grouped(rows: Sequence[EpisodeResult]) -> Iterator[Score]:
+def _grouped(rows: Sequence[EpisodeResult], has_measures: bool) -> Iterator[Score]:
     for by, (name_of, order) in _KEYS.items():
         groups: dict[str, list[EpisodeResult]] = {}
         for row in rows:
             groups.setdefault(name_of(row), []).append(row)
         for name in _ordered(groups, order):
-            yield score(by, name, groups[name])
+            yield score(by, name, groups[name], has_measures)
 
 
 def _ordered(names: Iterable[str], order: Sequence[str]) -> list[str]:

@@ -16,7 +16,7 @@ from typing import IO, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, Variant
+from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, Latency, Variant
 from factory.eval.models.spec import SpecSet, read_specs, write_specs
 from factory.eval.policies.registry import PolicyNote
 from schemas.base import Model, NonNegative, Sha256
@@ -39,6 +39,8 @@ class EvalManifest(Model):
     specs_digest: Sha256
     with_pose: bool
     act_timeout_s: NonNegative
+    latency: Latency | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Latency of the policies; `None` and omitted without one."""
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
     """View settings of the observations; omitted for the recorded camera."""
 

@@ -14,6 +14,8 @@ from factory.stats.statistics import Share
 _MOST_CLIPPED = 0.05
 _LEAST_P = 1e-4
 """Smallest p value that is printed as a number."""
+_DIGITS = 12
+"""Hexadecimal digits of a digest in a text."""
 INTERVALS = (
     "95 % intervals: shares by Wilson, measures from 0 to 1 by Wilson with an effective number of episodes, other "
     "means by Student's t, paired differences of SR by Tango"
@@ -92,18 +94,40 @@ def describe_ends(policy: PolicyScores) -> str:
         parts.append(f"{100 * policy.overall.clipped:.1f} % of the actions clipped")
     if policy.made_from:
         parts.append(describe(policy.made_from))
+    if policy.training is not None and policy.training.trained_on == 0:
+        parts.append(describe_training(policy))
     if policy.act_ms is not None:
         parts.append(f"{policy.act_ms:.1f} ms per action")
     return "; ".join(parts)
 
 
+def describe_training(policy: PolicyScores) -> str:
+    """Returns how training and evaluation of a policy overlap; empty if its training is not known."""
+    training = policy.training
+    if training is None:
+        return ""
+    digests = f"training digest {training.train_digest[:_DIGITS]}"
+    if training.evaluation_digest is not None:
+        digests += f", evaluation digest {training.evaluation_digest[:_DIGITS]}"
+    if training.trained_on is None:
+        return f"trained on unknown episodes, perhaps on evaluated ones ({digests}); train it again to record them"
+    which = f"{training.trained_on or 'none'} of the {training.episodes} evaluated episodes ({digests})"
+    return f"trained on {which}"
+
+
 def fault_lines(policy: PolicyScores) -> list[str]:
-    """Returns a line for each kind of policy failure, with its first message, and the warnings of a policy."""
-    lines = [
+    """Returns a line for each kind of policy failure, with its first message, and the warnings of a policy.
+
+    Warnings are an overlap of training and evaluation, and many clipped actions.
+    """
+    lines = [f"{policy.policy}: not evaluated, because it failed in every episode"] if policy.only_failed else []
+    lines += [
         f"{policy.policy}: {fault.drives} of {fault.of} episodes ended with {fault.end}, first {fault.first}: "
         f"{fault.detail}"
         for fault in policy.faults
     ]
+    if policy.training is not None and policy.training.trained_on != 0:
+        lines.append(f"{policy.policy}: warning: {describe_training(policy)}; its measures do not show generalisation")
     clipped = policy.overall.clipped
     if clipped is not None and clipped > _MOST_CLIPPED:
         lines.append(

@@ -27,7 +27,7 @@ _WIDTH = 80
 """Width of the tables without a terminal, too, characters; wider tables are printed in pieces."""
 _MEANS = ("spl", "ne_m", "soft_spl", "progress_max")
 _HEAD = (
-    *("n", "SR, %"),
+    *("n", "SR, %", "oracle success, %"),
     *(TITLES[name] for name in _MEANS),
     *("any instance, %", "collision, %", "timeout, %", "policy failure, %"),
 )
@@ -45,6 +45,8 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
         f"{evaluation.episodes} episodes: {evaluation.source}; "
         f"success radius {evaluation.success_radius_m:g} m by {evaluation.success}"
     )
+    if evaluation.limits is not None:
+        print_text(f"limits: {evaluation.limits.describe()}")
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
     print_table("\nAll episodes", ("policy", *_HEAD), rows, widest=_WIDTH)
     for by, title in GROUPS.items():
@@ -103,6 +105,7 @@ def _cells(score: Score) -> tuple[object, ...]:
     return (
         score.n,
         _share(score.success),
+        _share(score.oracle_success),
         *(_estimate(getattr(score, name)) for name in _MEANS),
         _share(score.any_instance),
         _plain(score.collision),

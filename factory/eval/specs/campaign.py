@@ -186,7 +186,7 @@ def tasks_for(campaign: Campaign, policy: str, places: LoadedScenes, first: int 
                     reference=reference,
                     request=EvalRequest(
                         spec=spec,
-                        spec_digest=specs.spec_digest(spec),
+                        spec_digest=specs.spec_digest(spec, campaign.setup.latency),
                         instruction=words[spec.spec_id],
                         variant=variant,
                         recorded=recorded.get(spec.spec_id),

@@ -23,11 +23,14 @@ from schemas.instruction.referents import ids_in_view
 from schemas.measure import Goal
 from schemas.scene import Instance, read_scene
 from schemas.storage.place import Place
+from schemas.support.shell import quoted
 from schemas.terms import Split
 from workers.geometry.pose import Pose
 from workers.sim.context import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
+TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
+"""Splits for training and for the selection of a checkpoint; all others are test splits."""
 _SAME_PLACE_M = 0.005
 """Maximum distance at which a redrawn pose counts as the recorded one, metres; the warm-up moves the robot a little."""
 _SAME_HEADING_RAD = 0.01
@@ -61,6 +64,29 @@ class LoadedScenes:
         while len(self._loaded) > self._keep:
             del self._loaded[next(iter(self._loaded))]
         return self._loaded[sha256]
+
+
+def splits_of(dataset: Dataset, names: tuple[str, ...] | None) -> tuple[Split, ...]:
+    """Returns the splits to evaluate, in the paper's order.
+
+    Args:
+        dataset: the dataset.
+        names: names of splits; empty for all splits with episodes, `None` for all test splits with episodes.
+    """
+    if names:
+        return tuple(split for split in Split if str(split) in names)
+    present = set(dataset.column("split").to_pylist())
+    splits = tuple(split for split in Split if str(split) in present and (names is not None or split not in TRAINED_ON))
+    if not present:
+        raise UsageError(
+            f"{dataset.root} has no episodes: `factory status {quoted(dataset.root)}` shows its run, "
+            f"`factory run --out {quoted(dataset.root)}` continues it"
+        )
+    if not splits:
+        raise UsageError(
+            f"{dataset.root} has no episodes in test splits; evaluate on its other splits with --split all"
+        )
+    return splits
 
 
 def specs_of_dataset(

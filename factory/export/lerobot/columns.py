@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.support.geometry import yaw_of
+from schemas.support.geometry import planar_states
 from schemas.tokens import tokens_of
 
-STATE_NAMES = ("x_m", "y_m", "yaw_rad", "v_mps", "w_rps")
 ACTION_NAMES = ("v_mps", "w_rps")
 TOKEN_NAMES = ("v", "w")
 POSE_NAMES = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -58,7 +57,7 @@ def frame_columns(
     kept = np.asarray(kept_frames(len(actions), stride))
     action = _mean_of_windows(actions, stride) if stride > 1 else actions
     return FrameColumns(
-        state=_odometry(poses, recorded_hz)[kept],
+        state=planar_states(poses, recorded_hz)[kept],
         action=action,
         tokens=tokens_of(action).astype(np.int64),
         pose=poses[kept].astype(np.float32),
@@ -72,17 +71,3 @@ def _mean_of_windows(actions: NDArray[np.float32], stride: int) -> NDArray[np.fl
     sums = np.add.reduceat(actions.astype(np.float64), starts, axis=0)
     sizes = np.diff(np.append(starts, len(actions)))
     return (sums / sizes[:, None]).astype(np.float32)
-
-
-def _odometry(poses: NDArray[np.float64], hz: int) -> NDArray[np.float32]:
-    """Returns (T, 5) planar poses in the frame of the first pose, and twists by backward differences."""
-    yaw = np.unwrap(yaw_of(poses))
-    offset = poses[:, :2] - poses[0, :2]
-    cos, sin = np.cos(yaw[0]), np.sin(yaw[0])
-    x, y = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
-    turned = yaw - yaw[0]
-    heading = (turned[1:] + turned[:-1]) / 2
-    v, w = np.zeros(len(poses)), np.zeros(len(poses))
-    v[1:] = (np.diff(x) * np.cos(heading) + np.diff(y) * np.sin(heading)) * hz
-    w[1:] = np.diff(turned) * hz
-    return np.stack([x, y, turned, v, w], axis=1).astype(np.float32)

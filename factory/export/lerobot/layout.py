@@ -13,12 +13,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, STATE_NAMES, TOKEN_NAMES
+from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, TOKEN_NAMES
 from factory.export.options import LeRobotOptions
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.rig import Camera, CameraOutput, DepthKind, Imu, Lidar2d, Lidar3d, Rig, WheelOdometry
+from schemas.support.geometry import STATE_NAMES
 from workers.geometry.faces import plan_faces
 
 IMU_NAMES = ("gyro_x_rps", "gyro_y_rps", "gyro_z_rps", "force_x_mps2", "force_y_mps2", "force_z_mps2")

@@ -11,7 +11,6 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from factory.export.base import Finish
-from factory.export.lerobot.columns import STATE_NAMES
 from factory.export.lerobot.common import (
     DatasetStats,
     LeRobotBase,
@@ -25,6 +24,7 @@ from factory.export.lerobot.layout import RGB, STATE, Layout
 from factory.export.lerobot.numbering import Numbered
 from factory.export.lerobot.piece import LeRobotFacts, read_columns
 from factory.export.options import LeRobotV21Options
+from schemas.support.geometry import STATE_NAMES
 
 VERSION = "v2.1"
 _CHUNK = 1000

@@ -99,7 +99,7 @@ def test_attributes_of_a_users_class_do_not_change_its_declared_inputs(folder: P
     policy = make_policy("named_pilot:Pilot", PolicyLimits())
     assert uses_camera(policy)
     assert not isinstance(policy, PrivilegedPolicy)
-    assert describe_knowledge(policy) == "camera and instruction"
+    assert describe_knowledge(policy) == "camera, instruction and odometry"
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.page import write_page
 from factory.eval.results.score import faults_of, score_policy
 from factory.eval.results.summary_text import describe_ends, fault_lines
+from factory.eval.results.text import print_evaluation
 from tests.builders.eval_results import evaluation_of, result_of
 
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="", software={})
@@ -57,3 +60,22 @@ def test_clipped_actions_are_reported_with_the_likely_unit() -> None:
     assert "90.0 % of the actions clipped" in describe_ends(policy)
     assert any("90 % of the actions were outside the range of the robot" in line for line in fault_lines(policy))
     assert not fault_lines(score_policy("p", [result_of(1, num_steps=100, clipped_actions=4)], NOTE))
+
+
+def test_a_policy_that_failed_in_every_episode_has_no_measures(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [result_of(n, success=False, end=EvalEnd.POLICY_RAISED, detail="KeyError") for n in (1, 2)]
+    rows += [row.model_copy(update={"variant": Variant.EMPTY, "instruction": ""}) for row in rows]
+    scores = score_policy("m:P", rows, NOTE)
+    assert scores.only_failed
+    assert not scores.ablation
+    for score in (scores.overall, *scores.groups):
+        assert (score.n, score.policy_failure.count) == (2, 2)
+        assert score.success.share is score.spl.mean is score.ne_m.mean is score.clipped is None
+    evaluation = evaluation_of("a").model_copy(update={"policies": (scores,)})
+    print_evaluation(evaluation)
+    text = capsys.readouterr().out
+    assert "m:P: not evaluated, because it failed in every episode" in " ".join(text.split())
+    assert "0.0 [0, 66]" not in text
+    page = write_page(evaluation, {})
+    assert "m:P: not evaluated, because it failed in every episode" in page
+    assert '<td role="cell" data-label="SR, %">–' in " ".join(page.split()).replace("> –", ">–")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from factory.eval.driving.rollout import progresses
 from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.compare import compare
 from factory.eval.results.score import score_policy
+from schemas.config import TaskConfig
 from schemas.errors import UsageError
 from schemas.terms import Split, Tier
 from tests.builders.eval_results import result_of
@@ -82,3 +84,17 @@ def test_results_on_different_specs_are_not_compared() -> None:
         compare([result_of(1)], [result_of(2)], Variant.ORIGINAL)
     with pytest.raises(UsageError, match="same --specs"):
         compare([result_of(1)], [result_of(1, instruction="Go to the sofa.")], Variant.ORIGINAL)
+
+
+def test_oracle_success_counts_episodes_that_were_within_the_radius_at_any_time() -> None:
+    inside = progresses(start_m=3.0, final_m=2.5, least_m=1.0, task=TaskConfig(success_radius_m=1.0))
+    outside = progresses(start_m=3.0, final_m=2.5, least_m=1.001, task=TaskConfig(success_radius_m=1.0))
+    rows = [
+        result_of(1),
+        result_of(2, success=False, min_ne_m=1.0, **inside),
+        result_of(3, success=False, min_ne_m=1.001, **outside),
+        result_of(4, success=False),
+    ]
+    assert [row.oracle_success for row in rows] == [True, True, False, False]
+    overall = score_policy("m:P", rows, NOTE).overall
+    assert (overall.oracle_success.share, overall.success.share) == (0.5, 0.25)
