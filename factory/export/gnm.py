@@ -70,7 +70,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
     name = "gnm"
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
-    version = 3
+    version = 4
     options = GnmOptions
     facts = GnmFacts
 

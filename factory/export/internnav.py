@@ -112,6 +112,7 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
 
     name = "navdp"
     about = "camera poses, JPEG, 16-bit depth and obstacle points, for NavDP"
+    version = 2
     options = NavDpOptions
     facts = ExportedFacts
 
@@ -158,6 +159,7 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
 
     name = "internnav"
     about = "keyframes with discrete actions and pixel goals, for InternVLA-N1 of InternNav"
+    version = 2
     options = InternNavOptions
     facts = ExportedFacts
 

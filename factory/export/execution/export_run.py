@@ -30,6 +30,7 @@ from factory.export.execution.selection import select
 from factory.export.options import Options
 from factory.export.output import Output, sync_tree
 from factory.export.registry import find_exporter, require_packages, require_rig_support
+from factory.export.rig.description import recorded_rig, rig_json
 from factory.export.source import open_source, rows_digest
 from factory.support.task_pool import run_tasks
 from schemas.base import Model
@@ -314,6 +315,9 @@ def _finish(state: _State, manifest: ExportManifest) -> ExportManifest:
     state.out.begin_finish(piece.episode_id for piece in pieces)
     state.out.before_file = state.require_running
     try:
+        plan = state.dataset.meta.plan
+        rig = state.dataset.rig or recorded_rig(plan.camera)
+        state.out.write_text(state.exporter.rig_file, rig_json(rig, plan.task.control_hz))
         state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
     except _Stopped:
         return manifest

@@ -38,7 +38,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
 
     name = "mcap"
     about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
-    version = 3
+    version = 4
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     takes_rig = True
     options = McapOptions

@@ -12,12 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
+from factory.export.rig.description import recorded_rig
 from schemas.rig import Camera, Lidar2d, Lidar3d, Rig
+from workers.appearance.cameras import changed_camera
 from workers.sensors import CameraMeasurement, ImuMeasurements, LidarScan, OdometryMeasurements
 
 Array = NDArray[Any]
 Seen = CameraMeasurement | LidarScan
 Motion = ImuMeasurements | OdometryMeasurements
+
+
+def shown_cameras(episode: Episode) -> tuple[Camera, ...]:
+    """Returns the cameras of the exported images: the rig's, or the recorded one, as the appearance has changed them.
+
+    The appearance of an episode may shift, turn and zoom its cameras (docs/appearance.md), so these cameras and not
+    those of the plan have the intrinsics and poses of the images.
+    """
+    rig = episode.rig or recorded_rig(episode.meta.job.camera)
+    change = None if episode.appearance is None else episode.appearance.camera
+    return tuple(changed_camera(camera, change) for camera in rig.cameras)
 
 
 class _Kept(NamedTuple):

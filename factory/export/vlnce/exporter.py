@@ -63,7 +63,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
-    version = 4
+    version = 5
     requires = ("trimesh",)
     assembles = True
     options = Options
