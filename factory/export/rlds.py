@@ -17,7 +17,7 @@ from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import stride_of
 from factory.export.origin import origin_of
 from factory.export.rig.description import optical_poses
-from factory.export.rig.reader import shown_cameras
+from factory.export.rig.reader import shown_pinhole
 
 _BASE = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
 """Pose of base_link in itself."""
@@ -70,7 +70,7 @@ def rlds_steps(episode: Episode, fps: int | None = None, image_px: int = 256) ->
     kept = kept_frames(len(episode), stride)
     columns = frame_columns(episode.actions, episode.poses, hz, stride)
     tokens = columns.tokens.astype(np.int32)
-    cameras = optical_poses(episode.poses[np.asarray(kept)], shown_cameras(episode)[0].mount).astype(np.float32)
+    cameras = optical_poses(episode.poses[np.asarray(kept)], shown_pinhole(episode).mount).astype(np.float32)
     for number, t in enumerate(kept):
         is_last = number == len(kept) - 1
         yield {
@@ -99,7 +99,7 @@ def rlds_metadata(episode: Episode, image_px: int = 256) -> dict[str, Any]:
         image_px: side of the images, pixels, to which `camera_matrix` (3, 3) refers; the centre of the first pixel is
             (0, 0). `camera_in_base` is the pose of the optical frame in base_link: x, y, z, qw, qx, qy, qz.
     """
-    row, camera = episode.summary, shown_cameras(episode)[0]
+    row, camera = episode.summary, shown_pinhole(episode)
     (fx, fy), (cx, cy), scale = camera.focal_px, camera.centre_px, image_px / camera.width
     matrix = ((fx * scale, 0.0, cx * scale - 0.5), (0.0, fy * scale, cy * scale - 0.5), (0.0, 0.0, 1.0))
     return {

@@ -43,6 +43,12 @@ def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:
     return dataset
 
 
+def recorded_run(root: Place) -> tuple[str, Recording]:
+    """Returns the name of the run of a dataset, and its kind of recording, as the dataset itself states them."""
+    meta = read_dataset_meta(root)
+    return meta.run, meta.plan.record
+
+
 def rows_digest(rows: pa.Table) -> str:
     """Returns the SHA-256 over the identifying columns of `metadata.parquet`; it depends on the order of the rows."""
     digest = hashlib.sha256()

@@ -26,7 +26,7 @@ from factory.export.options import WebdatasetOptions, stride_of
 from factory.export.origin import COLUMN as ORIGIN
 from factory.export.origin import origin_of
 from factory.export.rig.description import intrinsics_of, optical_poses, rig_table
-from factory.export.rig.reader import SensorReader, arrays_of, shown_cameras
+from factory.export.rig.reader import SensorReader, arrays_of, shown_rig
 from schemas.encoding.ndarray import encode_npy
 from schemas.encoding.png import encode_png
 from schemas.rig import CameraOutput, Imu, Sensor, WheelOdometry
@@ -250,7 +250,7 @@ def _facts_members(facts: dict[str, Any], action: list[float], tokens: list[int]
 def camera_facts(episode: Episode, reader: SensorReader | None, steps: Sequence[int]) -> list[dict[str, Any]]:
     """Returns for each step the matrix and the pose of each camera, at the step of its measurement."""
     facts: list[dict[str, Any]] = [{} for _ in steps]
-    for camera in shown_cameras(episode):
+    for camera in shown_rig(episode).cameras:
         seen = [t if reader is None else reader.latest_step(camera.name, t) for t in steps]
         intrinsics = intrinsics_of(camera)
         matrix = {} if intrinsics is None else {"camera_matrix": intrinsics.matrix}

@@ -27,9 +27,13 @@ from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.registry import EXPORTERS, find_exporter
+from factory.export.rig.description import intrinsics_of
+from factory.export.rig.reader import shown_pinhole
 from factory.export.rlds import rlds_metadata, rlds_steps
 from factory.export.video import read_video
+from schemas.appearance import Appearance, CameraRanges
 from schemas.terms import Recording
+from tests.builders.driven import make_driven
 
 pytestmark = pytest.mark.gl
 BOXES = {"crate": ((2.2, 1.0, 0.0), (2.8, 1.6, 0.6)), "barrel": ((-3.0, -2.2, 0.0), (-2.5, -1.7, 0.9))}
@@ -212,6 +216,30 @@ def test_exported_depth_leads_to_the_faces_of_the_target(
 ) -> None:
     values, read, tolerance_m = READERS[name]
     seen = read(exported(root, tmp_path / "out", name, values))
+    assert_geometry(seen, episode, 0 if name == "internnav" else T, tolerance_m)
+
+
+@pytest.fixture(scope="module")
+def shifted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One drive whose camera is moved, turned and zoomed by the appearance of its plan."""
+    camera = CameraRanges(
+        x_m=(0.04, 0.05), z_m=(0.08, 0.1), roll_deg=(3, 4), pitch_deg=(4, 5), yaw_deg=(-4, -3), focal=(1.1, 1.15)
+    )
+    root = tmp_path_factory.mktemp("shifted") / "data"
+    make_driven(root, Recording.STATES, episodes=1, appearance=Appearance(camera=camera))
+    return root
+
+
+@pytest.mark.parametrize("name", READERS.keys() - {"paper"})
+def test_an_appearance_that_moves_the_camera_moves_the_exported_camera(
+    shifted: Path, tmp_path: Path, name: str
+) -> None:
+    """`paper` is not examined: its only description of the camera is that of the plan."""
+    values, read, tolerance_m = READERS[name]
+    episode = Dataset(shifted)[0]
+    seen = read(exported(shifted, tmp_path / "out", name, values))
+    if name == "internnav":  # its loader takes one camera for all episodes, so each episode only has its own poses
+        seen = seen._replace(matrix=np.reshape(intrinsics_of(shown_pinhole(episode)).matrix, (3, 3)))  # type: ignore[union-attr]
     assert_geometry(seen, episode, 0 if name == "internnav" else T, tolerance_m)
 
 

@@ -31,7 +31,7 @@ from factory.export.options import Options
 from factory.export.output import Output, sync_tree
 from factory.export.registry import find_exporter, require_packages, require_rig_support
 from factory.export.rig.description import recorded_rig, rig_json
-from factory.export.source import open_source, rows_digest
+from factory.export.source import open_source, recorded_run, rows_digest
 from factory.support.task_pool import run_tasks
 from schemas.base import Model
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError, WorldError
@@ -199,7 +199,7 @@ def run_export(
     dataset, manifest = plan_manifest(order, exporter)
     there = require_same_export(order.out, manifest)
     if there is not None and there.complete:
-        return _nothing_to_do(order, dataset, there)
+        return _nothing_to_do(order, dataset, there.model_copy(update={"source": manifest.source}))
     with Output(order.out) as out:
         if there is None:
             write_manifest(out, manifest)
@@ -236,9 +236,13 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
         exporter.check_rig(dataset.rig, order.options)
         options["rig"] = f"{dataset.rig.name} {hashlib.sha256(dataset.rig.model_dump_json().encode()).hexdigest()[:12]}"
     digest = rows_digest(dataset.metadata)
+    run, record = recorded_run(order.root)
     source = Source(
-        run=whole.meta.run,
-        dataset_digest=digest if len(dataset) == len(whole) else rows_digest(whole.metadata),
+        run=run,
+        record=record,
+        dataset_digest=whole.digest,
+        frames_run=whole.meta.run,
+        rows_digest=digest if len(dataset) == len(whole) else rows_digest(whole.metadata),
         selection_digest=digest,
         splits=tuple(order.splits),
         episodes=len(dataset),
@@ -337,7 +341,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifes
         size = out.size_bytes()
     return ExportReport(
         dataset=str(order.root),
-        dataset_digest=manifest.source.selection_digest,
+        dataset_digest=manifest.source.dataset_digest,
         format=manifest.format,
         out=str(order.out),
         episodes=manifest.episodes,
@@ -355,7 +359,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifes
 def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportReport:
     return ExportReport(
         dataset=str(state.order.root),
-        dataset_digest=manifest.source.selection_digest,
+        dataset_digest=manifest.source.dataset_digest,
         format=manifest.format,
         out=str(state.order.out),
         episodes=len(state.pieces),

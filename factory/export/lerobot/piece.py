@@ -25,7 +25,7 @@ from factory.export.options import LeRobotOptions, stride_of
 from factory.export.origin import COLUMN as ORIGIN
 from factory.export.origin import origin_of
 from factory.export.rig.description import intrinsics_of, optical_poses
-from factory.export.rig.reader import SensorReader, shown_cameras
+from factory.export.rig.reader import SensorReader, shown_rig
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.png import encode_png
 from schemas.rig import CameraOutput, Lidar2d, Lidar3d
@@ -53,7 +53,7 @@ def camera_columns(
     layout: Layout, episode: Episode, reader: SensorReader | None, kept: Sequence[int]
 ) -> dict[str, NDArray[np.float32]]:
     """Returns the values of the columns that describe cameras: poses (N, 7) at the measurements, matrices (N, 9)."""
-    cameras = {camera.name: camera for camera in shown_cameras(episode)}
+    cameras = {camera.name: camera for camera in shown_rig(episode).cameras}
     values = {}
     for name, column in layout.columns.items():
         if column.camera is None:

@@ -132,7 +132,7 @@ def test_tables_equal_those_of_lerobots_writer(everything: Path, part: str, fold
 
 def test_the_files_are_those_of_lerobots_writer(everything: Path) -> None:
     files = {str(path.relative_to(everything)) for path in everything.rglob("*") if path.is_file()}
-    extra = {f"{EXTRA_FOLDER}/{file}" for file in (*FROZEN["extra"]["files"], "meta/rig.json")}
+    extra = {f"{EXTRA_FOLDER}/{file}" for file in FROZEN["extra"]["files"]}
     assert files == {*FROZEN["main"]["files"], *extra, "meta/rig.json", "README.md", "export.json"}
 
 

@@ -143,6 +143,24 @@ def test_damaged_manifest_is_named(varied: Path, tmp_path: Path) -> None:
         run_export(order)
 
 
+def test_an_export_of_an_earlier_version_is_still_the_same_export(varied: Path, tmp_path: Path) -> None:
+    """Version 1 of `export.json` has the digest of the rows as `dataset_digest`, which nothing else printed."""
+    order = ExportOrder(varied, tmp_path / "out", "paper", PaperOptions(), episodes=("ep_000001",))
+    first = run_export(order)
+    manifest = json.loads((tmp_path / "out/export.json").read_text())
+    source = manifest["source"]
+    assert (source["dataset_digest"], source["record"]) == (Dataset(varied).digest, "frames")
+    source["dataset_digest"] = source.pop("rows_digest")
+    del source["frames_run"], source["record"]
+    (tmp_path / "out/export.json").write_text(json.dumps({**manifest, "manifest": 1}))
+    again = run_export(order)
+    assert (again.resumed, again.complete, again.dataset_digest) == (1, True, first.dataset_digest)
+    source["dataset_digest"] = "0" * 64
+    (tmp_path / "out/export.json").write_text(json.dumps({**manifest, "manifest": 1}))
+    with pytest.raises(WorldError, match=r"contains another export: dataset test-\w+ 0{12}, requested test-"):
+        run_export(order)
+
+
 def test_swapped_episode_is_noticed(varied: Path, tmp_path: Path) -> None:
     root = tmp_path / "data"
     shutil.copytree(varied, root)
