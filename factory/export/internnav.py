@@ -89,7 +89,7 @@ Training data for InternVLA-N1 of InternRobotics/InternNav. Enter in `internvla_
     MINIVLA = {{"data_path": "<here>/{root}", "height": {height}, "pitch_1": 0, "pitch_2": 0}}
     data_dict["minivla"] = MINIVLA
 
-- Frames are keyframes: the recorded 60 Hz drive is cut where the robot has moved {step} m or turned 15 degrees, the
+- Frames are keyframes: the recorded {hz} Hz drive is cut where the robot has moved {step} m or turned 15 degrees, the
   actions of VLN-CE. `action`: the action that led to the frame, 1 forward, 2 left, 3 right, -1 at the first.
 - `pose.{setting}` (4, 4): the camera in the world, optical axes (x right, y down, z forward), metres.
 - `goal.{setting}`: row and column of the farthest later keyframe on the floor that is visible, within {ahead}
@@ -155,7 +155,9 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
             _write_points(export.out, f"{meta}/pointcloud.ply", pieces[0])
         fps = export.options.fps or export.dataset.meta.plan.task.control_hz
         text = _NAVDP_CARD.format(root=_ROOT, group=GROUP, fps=fps)
-        export.out.write_text(CARD_FILE, export_card(export.dataset.meta, len(export.pieces), text, tags=("navdp",)))
+        export.out.write_text(
+            CARD_FILE, export_card(export.dataset.meta, None, len(export.pieces), text, tags=("navdp",))
+        )
 
 
 class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
@@ -200,9 +202,14 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
             export.out.write_text(f"{_ROOT}/{scene}/meta/episodes.jsonl", _lines(_entry(piece) for piece in pieces))
         camera = export.dataset.meta.plan.camera
         text = _INTERNNAV_CARD.format(
-            root=_ROOT, height=_height_cm(camera), step=STEP_M, setting=setting_of(camera), ahead=_MOST_AHEAD
+            root=_ROOT,
+            height=_height_cm(camera),
+            step=STEP_M,
+            setting=setting_of(camera),
+            ahead=_MOST_AHEAD,
+            hz=export.dataset.meta.plan.task.control_hz,
         )
-        card = export_card(export.dataset.meta, len(export.pieces), text, tags=("internnav",))
+        card = export_card(export.dataset.meta, None, len(export.pieces), text, tags=("internnav",))
         export.out.write_text(CARD_FILE, card)
 
 

@@ -140,7 +140,7 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
         text, hz, rig = _CARD, meta.plan.task.control_hz, export.dataset.rig
         if rig is not None:
             text += FOLDERS_TEXT + rig_table(rig, hz)
-        card = export_card(meta, len(export.pieces), text, configs)
+        card = export_card(meta, rig, len(export.pieces), text, configs)
         export.out.write_text(CARD_FILE, card)
         export.out.write_text(META_FILE, to_json(plain_dataset_meta(meta)))
 

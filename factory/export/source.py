@@ -34,8 +34,12 @@ _IDENTITY = (
 def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:
     """Opens a dataset and describes it like a frames recording; raises the errors of `Dataset`.
 
-    Without `rig`, the recorded camera is exported, even if the episodes of the dataset store a rig.
+    Without `rig`, the recorded camera is exported, even if the plan of the dataset has a rig. The name of the plan's
+    rig selects it, even if it was a file.
     """
+    own = read_dataset_meta(root).plan.rig
+    if own is not None and rig == own.name:
+        rig = own
     dataset = Dataset(root, rig)
     if rig is None:
         dataset.rig = None

@@ -196,7 +196,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         else:
             text = _CARD.format(members=MEMBERS_TEXT, images='sample["json"]["step"]', shards=shards)
             text += rig_table(rig, hz)
-        card = export_card(export.dataset.meta, len(export.pieces), text, configs, tags=("webdataset",))
+        card = export_card(export.dataset.meta, rig, len(export.pieces), text, configs, tags=("webdataset",))
         export.out.write_text(CARD_FILE, card)
 
 

@@ -24,6 +24,9 @@ from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_frames import RGB, Listed, check_batches, check_frames
 from paper_tree import Paper
 from result import named, print_row
+from snippets import run_snippets
+
+DOCUMENT = Path(__file__).parents[2] / "docs/formats/lerobot.md"
 
 
 def main() -> None:
@@ -35,9 +38,21 @@ def main() -> None:
         for backend in backends():
             print_row(export, f"{reader}, {backend}", check_export(paper, export, backend))
         print_row(export, reader, check_policy(export))
+        print_row(export, reader, check_snippets(export))
         print_row(export, reader, check_parts(export))
         print_row(export, reader, check_aggregate(export))
         print_row(export, reader, check_tools(export))
+
+
+def check_snippets(export: Path) -> str:
+    """Runs the snippets that the export and the documents print."""
+    count = run_snippets(export / "README.md", export, "lerobot")
+    if not (export / "extra").exists():  # a snippet of the document needs depth
+        return f"{count} printed snippet runs"
+    with tempfile.TemporaryDirectory() as place:
+        (Path(place) / "out").symlink_to(export.resolve())
+        count += run_snippets(DOCUMENT, Path(place), "lerobot")
+    return f"{count} printed snippets run"
 
 
 def backends() -> list[str]:

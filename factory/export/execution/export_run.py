@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
@@ -349,6 +349,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifes
         resumed=manifest.episodes,
         skipped=(),
         absent=_absent(order, dataset),
+        **_left_out(order),
         bytes=size,
         seconds=0.0,
         frames_per_second=None,
@@ -367,11 +368,29 @@ def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportRe
         resumed=state.resumed,
         skipped=manifest.skipped,
         absent=_absent(state.order, state.dataset),
+        **_left_out(state.order),
         bytes=state.out.size_bytes(),
         seconds=round(seconds, 3),
         frames_per_second=round(state.frames / seconds, 1) if state.frames else None,
         complete=manifest.complete,
     )
+
+
+class _LeftOut(TypedDict):
+    unselected: tuple[str, ...]
+    rig_left_out: str | None
+
+
+def _left_out(order: ExportOrder) -> _LeftOut:
+    """Returns what the dataset has but the order does not select."""
+    dataset = Dataset(order.root)
+    rig = dataset.meta.plan.rig if order.rig is None and find_exporter(order.format).takes_rig else None
+    unselected: list[str] = []
+    if order.splits and order.episodes:
+        asked = dataset.filter(episode=order.episodes)
+        rows = zip(asked.column("episode_id").to_pylist(), asked.column("split").to_pylist(), strict=True)
+        unselected = [name for name, split in rows if split not in order.splits]
+    return {"unselected": tuple(unselected), "rig_left_out": None if rig is None else rig.name}
 
 
 def _absent(order: ExportOrder, dataset: Dataset) -> tuple[str, ...]:

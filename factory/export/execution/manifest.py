@@ -42,6 +42,10 @@ class ExportReport(Model):
     absent: tuple[str, ...]
     """Ids of planned episodes that the dataset does not have, because the run is unfinished or has abandoned them;
     empty if episodes were selected by id."""
+    unselected: tuple[str, ...]
+    """Ids that were selected by `--episode`, but are in other splits than the selected ones."""
+    rig_left_out: str | None
+    """Rig of the dataset's plan whose sensors the format supports, if the recorded camera is exported; else null."""
     bytes: int
     """Size of the export, bytes."""
     seconds: float

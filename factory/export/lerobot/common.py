@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from coordinator.tables.card import Configs
+from coordinator.tables.card import Configs, robot_name
 from factory.dataset.episode import Episode
 from factory.dataset.steps import has_questions, has_routes
 from factory.export.base import Exporter, Finish
@@ -76,7 +76,6 @@ def _matrices(numbered: Numbered, layout: Layout) -> Iterator[tuple[str, Any]]:
         yield name, values if column.is_scan or not column.shape else values.reshape(-1, *column.shape)
 
 
-ROBOT = "nova_carter"
 OptionsT = TypeVar("OptionsT", bound=Decimated)
 _TEXT = """\
 A [LeRobot](https://github.com/huggingface/lerobot) dataset, version {version}, {fps} frames per second{decimated}.
@@ -187,7 +186,8 @@ class LeRobotExport:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
         text = card_text(version, self)
         self.out.write_text(
-            CARD_FILE, export_card(self.meta, len(self.numbering), text=text, configs=configs, tags=["LeRobot"])
+            CARD_FILE,
+            export_card(self.meta, self.rig, len(self.numbering), text=text, configs=configs, tags=["LeRobot"]),
         )
 
     def write_stats(self, stats: Stats) -> None:
@@ -208,7 +208,7 @@ class LeRobotExport:
         }
         shared = {
             "splits": self.numbering.splits,
-            "robot_type": ROBOT,
+            "robot_type": robot_name(self.meta.plan.robot, self.rig),
             "fps": self.fps,
             "features": features_of(self.layout, self.fps) | dict(features or {}),
         }
@@ -253,7 +253,7 @@ def card_text(version: str, dataset: LeRobotExport) -> str:
     return _TEXT.format(
         version=version,
         fps=fps,
-        decimated="" if stride == 1 else f", every {stride}th of the recorded ones",
+        decimated="" if stride == 1 else f", one of {stride} recorded frames",
         example=_EXAMPLES[version],
         images="".join(f"| `{image.key}` | {_about(image)} |\n" for image in dataset.layout.images),
         sensors=sensors,

@@ -79,7 +79,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
         meta, pieces, options, rig = export.dataset.meta, len(export.pieces), export.options, export.dataset.rig
         hz = meta.plan.task.control_hz
         text = ros2_card(SPACING_S, options.start_s, rig, hz) if options.ros2 else foxglove_card(rig, hz)
-        card = export_card(meta, pieces, text, tags=("mcap", "ros2" if options.ros2 else "foxglove"))
+        card = export_card(meta, rig, pieces, text, tags=("mcap", "ros2" if options.ros2 else "foxglove"))
         export.out.write_text(CARD_FILE, card)
 
 
