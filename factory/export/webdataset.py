@@ -148,7 +148,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     """Exporter of format `webdataset`. A piece is a tar file without the end-of-archive blocks; pieces form a shard."""
 
     name = "webdataset"
-    about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless"
+    about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless images"
     version = 3
     assembles = True
     takes_rig = True

@@ -1,8 +1,8 @@
 """Lists everything that an export contains by name: files, columns, keys, members of shards, topics. Reads all formats.
 
 A name is `file:PATTERN`, `column:NAME`, `key:a.b`, `member:SUFFIX`, `topic:NAME` or `pickle:KEY`. Numbers in paths are
-replaced by `#`. Descriptions of the export (`README.md`, `export.json`, `rig.json`, statistics, schemas) are not listed,
-and an origin is one name, because it is the description of a job.
+replaced by `#`. Descriptions of the export (`README.md`, `export.json`, `rig.json`, statistics, schemas) are not
+listed, and an origin is one name, because it is the description of a job.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _names(path: Path, out: Path) -> Iterator[str]:
     elif path.suffix == ".mcap":
         yield from _records(path)
     elif path.suffix == ".pkl":
-        yield from (f"pickle:{key}" for key in pickle.loads(path.read_bytes()))  # noqa: S301 - written by this test
+        yield from (f"pickle:{key}" for key in pickle.loads(path.read_bytes()))
 
 
 def _columns(path: Path) -> Iterator[str]:

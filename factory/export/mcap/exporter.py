@@ -37,7 +37,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     """Exporter of format `mcap`. Memory use is one chunk and one frame."""
 
     name = "mcap"
-    about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
+    about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless images"
     version = 4
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     takes_rig = True
