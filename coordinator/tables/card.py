@@ -15,8 +15,10 @@ import yaml
 
 from coordinator.tables.aggregates import EpisodeSums, TableAggregates
 from schemas.appearance import Appearance
+from schemas.config import RobotConfig, TaskConfig
 from schemas.dataset.meta import DatasetMeta
 from schemas.instruction.templates import TEMPLATES
+from schemas.rig import Rig
 from schemas.storage.dataset_files import SPLITS_FOLDER
 from schemas.storage.place import Place, children
 from schemas.terms import Recording, Split, SuccessMeasure, Tier
@@ -108,9 +110,9 @@ size_categories:
 {configs}---
 # {run}
 
-{episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter gets an
+{episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. {robot} gets an
 instruction{english} that names an object, sees colour, depth and instance ids at {hz} Hz, drives to the object and
-stops within {radius:g} m of {goal}.
+stops {goal}.
 
 ## How it was made
 With minivla-factory {version}, simulated in PyBullet and rendered by
@@ -202,6 +204,35 @@ _THUMBNAIL = ", with a `thumbnail` (frame 0, JPEG, 160 x 160)"
 _PICTURE = ', splits["train_id"][0]["thumbnail"]  # a PIL image'
 _SHARDS = "- `episodes/shard_*.zip`: "
 _GOALS = {SuccessMeasure.CENTROID: "its centre", SuccessMeasure.SURFACE: "its footprint on the floor"}
+_BODY_FIELDS = {"wheel_radius_m", "track_m", "max_speed_mps", "max_yaw_rate_rps"}
+_NOVA_CARTER_RIGS = ("paper", "nova-carter")
+
+
+def goal_words(task: TaskConfig) -> str:
+    """Returns where the robot stops in a success: `within 1 m of its centre`, by the success measure of the plan."""
+    return f"within {task.success_radius_m:g} m of {_GOALS[task.success]}"
+
+
+def robot_name(robot: RobotConfig, rig: Rig | None) -> str:
+    """Returns `nova_carter`, or `differential_drive` if the plan changes the drive, or the name of another rig."""
+    if rig is not None and rig.name not in _NOVA_CARTER_RIGS:
+        return rig.name
+    is_standard = robot.model_dump(include=_BODY_FIELDS) == RobotConfig().model_dump(include=_BODY_FIELDS)
+    return "nova_carter" if is_standard else "differential_drive"
+
+
+def robot_words(robot: RobotConfig, rig: Rig | None) -> str:
+    """Returns the robot as the subject of a sentence.
+
+    Args:
+        robot: robot of the plan.
+        rig: sensors of the frames; `None` for the recorded camera.
+    """
+    name = robot_name(robot, rig)
+    known = {"nova_carter": "A Nova Carter", "differential_drive": "A robot with two driven wheels"}
+    return known.get(name, f"A robot with two driven wheels and the sensors of rig `{name}`")
+
+
 _STRAIGHT = (
     "The expert knows where its target is and drives straight, so the data contain no detours around obstacles; its "
     "starts are screened by `spawn.screening` of the plan: {}."
@@ -234,8 +265,8 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         version=meta.software.get("minivla-factory", "(not installed)"),
         renderers=" and ".join(meta.renderers) or "no renderer yet",
         software=_software_part(aggregates, stores_frames),
-        radius=meta.plan.task.success_radius_m,
-        goal=_GOALS[meta.plan.task.success],
+        robot=robot_words(meta.plan.robot, rig),
+        goal=goal_words(meta.plan.task),
         hz=meta.plan.task.control_hz,
         failed=meta.failed_attempts,
         scenes=_scene_table(aggregates),
@@ -252,6 +283,11 @@ def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Co
         wording=wording,
         light="" if _varies_light(meta.plan.appearance) else ", and each scene has one light",
     )
+
+
+def languages_of(meta: DatasetMeta) -> tuple[str, ...]:
+    """Returns the codes of the languages of the instructions."""
+    return _instructions(meta)[0]
 
 
 def _instructions(meta: DatasetMeta) -> tuple[tuple[str, ...], str]:

@@ -97,6 +97,8 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     assembles: ClassVar[bool] = False
     takes_rig: ClassVar[bool] = False
     """Whether the format can contain the sensors of `Episode.rig`."""
+    rig_file: ClassVar[str] = "rig.json"
+    """Path of the description of the cameras and sensors, which every export has."""
     options: type[OptionsT]
     facts: type[FactsT]
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.tables.card import Configs, configs_to_yaml
+from coordinator.tables.card import Configs, configs_to_yaml, goal_words, languages_of, robot_words
 from schemas.dataset.meta import DatasetMeta
+from schemas.rig import Rig
 
 CARD_FILE = "README.md"
 TAGS = (
@@ -22,7 +23,7 @@ _FRONT = """\
 ---
 license: cc-by-4.0
 language:
-- en
+{languages}
 pretty_name: {title}
 task_categories:
 - robotics
@@ -38,6 +39,7 @@ size_categories:
 
 def export_card(
     meta: DatasetMeta,
+    rig: Rig | None,
     episodes: int,
     text: str,
     configs: Configs | None = None,
@@ -47,20 +49,24 @@ def export_card(
 
     Args:
         meta: metadata of the dataset.
+        rig: exported sensors; `None` for the recorded camera.
         episodes: number of episodes in the export.
         text: Markdown below the title.
         configs: name -> split -> path or pattern of its files, for the dataset viewer; the first is the default.
         tags: additional tags.
     """
+    languages = languages_of(meta)
+    english = " in English" if languages == ("en",) else ""
     front = _FRONT.format(
         title=meta.run,
+        languages="\n".join(f"- {code}" for code in languages),
         tags="\n".join(f"- {tag}" for tag in (*tags, *TAGS)),
         size=next((name for limit, name in _SIZES if episodes < limit), "n>1M"),
         configs=configs_to_yaml(configs) if configs else "",
     )
     origin = (
         f"{episodes} episodes of language-conditioned robot navigation, made with minivla-factory from seed "
-        f"{meta.seed} with the `{meta.plan.expert}` expert. A Nova Carter gets an instruction in English that names an "
-        f"object; it stops within {meta.plan.task.success_radius_m:g} m of it.\n\n"
+        f"{meta.seed} with the `{meta.plan.expert}` expert. {robot_words(meta.plan.robot, rig)} gets an "
+        f"instruction{english} that names an object; it stops {goal_words(meta.plan.task)}.\n\n"
     )
     return front + origin + text.strip() + "\n"

@@ -70,7 +70,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
     name = "gnm"
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
-    version = 3
+    version = 4
     options = GnmOptions
     facts = GnmFacts
 
@@ -101,7 +101,9 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         fps = export.options.fps or job.task.control_hz
         frames = sorted(piece.facts.frames for piece in export.pieces)
         text = _CARD.format(name=DATASET_NAME, fps=fps, median=frames[len(frames) // 2])
-        export.out.write_text(CARD_FILE, export_card(export.dataset.meta, len(export.pieces), text, tags=("gnm",)))
+        export.out.write_text(
+            CARD_FILE, export_card(export.dataset.meta, None, len(export.pieces), text, tags=("gnm",))
+        )
 
 
 def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:

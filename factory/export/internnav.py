@@ -28,12 +28,16 @@ from factory.export.gnm import encode_jpeg
 from factory.export.options import InternNavOptions, NavDpOptions, stride_of
 from factory.export.origin import COLUMN, origin_of
 from factory.export.output import Output
+from factory.export.rig.description import intrinsics_of
+from factory.export.rig.reader import shown_pinhole
 from factory.runs.scene_packages import find_package
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
+from schemas.rig import PinholeCamera
 from schemas.scene import CompiledScene, read_scene
 from schemas.support.geometry import yaw_of
 from schemas.support.numpy_types import Floats
+from workers.geometry.camera import mount_rotation
 from workers.geometry.grid import FREE, OCCUPIED
 
 GROUP = "minivla"
@@ -85,7 +89,7 @@ Training data for InternVLA-N1 of InternRobotics/InternNav. Enter in `internvla_
     MINIVLA = {{"data_path": "<here>/{root}", "height": {height}, "pitch_1": 0, "pitch_2": 0}}
     data_dict["minivla"] = MINIVLA
 
-- Frames are keyframes: the recorded 60 Hz drive is cut where the robot has moved {step} m or turned 15 degrees, the
+- Frames are keyframes: the recorded {hz} Hz drive is cut where the robot has moved {step} m or turned 15 degrees, the
   actions of VLN-CE. `action`: the action that led to the frame, 1 forward, 2 left, 3 right, -1 at the first.
 - `pose.{setting}` (4, 4): the camera in the world, optical axes (x right, y down, z forward), metres.
 - `goal.{setting}`: row and column of the farthest later keyframe on the floor that is visible, within {ahead}
@@ -112,6 +116,7 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
 
     name = "navdp"
     about = "camera poses, JPEG, 16-bit depth and obstacle points, for NavDP"
+    version = 2
     options = NavDpOptions
     facts = ExportedFacts
 
@@ -128,10 +133,10 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
             stem = f"{episode.episode_id}_{number:06d}"
             (rgb / f"{stem}.jpg").write_bytes(encode_jpeg(episode.rgb(t), options.jpeg_quality))
             (depth / f"{stem}.png").write_bytes(encode_depth(episode.depth(t), _NAVDP_UNITS))
-        camera = episode.meta.job.camera
+        camera = shown_pinhole(episode)
         extrinsic = np.eye(4)
-        extrinsic[:3, :3] = _USD_OF_ROBOT
-        extrinsic[:3, 3] = (-camera.y_m, camera.x_m, camera.z_m)
+        extrinsic[:3, :3] = _ROBOT_OF_BASE.T @ mount_rotation(camera.mount) @ _ROBOT_OF_BASE @ _USD_OF_ROBOT
+        extrinsic[:3, 3] = (-camera.mount.y_m, camera.mount.x_m, camera.mount.z_m)
         poses = camera_poses(episode.poses[:: steps.step], camera, _ROBOT_OF_BASE @ _USD_OF_ROBOT)
         columns = {
             "observation.camera_intrinsic": [intrinsic_of(camera).tolist()] * len(steps),
@@ -150,7 +155,9 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
             _write_points(export.out, f"{meta}/pointcloud.ply", pieces[0])
         fps = export.options.fps or export.dataset.meta.plan.task.control_hz
         text = _NAVDP_CARD.format(root=_ROOT, group=GROUP, fps=fps)
-        export.out.write_text(CARD_FILE, export_card(export.dataset.meta, len(export.pieces), text, tags=("navdp",)))
+        export.out.write_text(
+            CARD_FILE, export_card(export.dataset.meta, None, len(export.pieces), text, tags=("navdp",))
+        )
 
 
 class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
@@ -158,6 +165,7 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
 
     name = "internnav"
     about = "keyframes with discrete actions and pixel goals, for InternVLA-N1 of InternNav"
+    version = 2
     options = InternNavOptions
     facts = ExportedFacts
 
@@ -171,13 +179,14 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
         for each in (rgb, depth):
             each.mkdir(parents=True)
         poses = episode.poses[frames]
-        cameras = camera_poses(poses, job.camera, _OPTICAL_OF_BASE)
+        camera = shown_pinhole(episode)
+        cameras = camera_poses(poses, camera, _OPTICAL_OF_BASE)
         goals = []
         for k, t in enumerate(frames):
             stem, measured = f"episode_{number:06d}_{k}", episode.depth(t)
             (rgb / f"{stem}.jpg").write_bytes(encode_jpeg(episode.rgb(t), options.jpeg_quality))
             (depth / f"{stem}.png").write_bytes(encode_depth(measured, _INTERNNAV_UNITS))
-            goals.append(pixel_goal(cameras[k], measured, job.camera, poses[k : k + _MOST_AHEAD + 1, :3]))
+            goals.append(pixel_goal(cameras[k], measured, camera, poses[k : k + _MOST_AHEAD + 1, :3]))
         columns = {
             "action": actions,
             f"pose.{setting}": cameras.tolist(),
@@ -193,9 +202,14 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
             export.out.write_text(f"{_ROOT}/{scene}/meta/episodes.jsonl", _lines(_entry(piece) for piece in pieces))
         camera = export.dataset.meta.plan.camera
         text = _INTERNNAV_CARD.format(
-            root=_ROOT, height=_height_cm(camera), step=STEP_M, setting=setting_of(camera), ahead=_MOST_AHEAD
+            root=_ROOT,
+            height=_height_cm(camera),
+            step=STEP_M,
+            setting=setting_of(camera),
+            ahead=_MOST_AHEAD,
+            hz=export.dataset.meta.plan.task.control_hz,
         )
-        card = export_card(export.dataset.meta, len(export.pieces), text, tags=("internnav",))
+        card = export_card(export.dataset.meta, None, len(export.pieces), text, tags=("internnav",))
         export.out.write_text(CARD_FILE, card)
 
 
@@ -208,25 +222,26 @@ def _height_cm(camera: CameraConfig) -> int:
     return round(camera.z_m * 100)
 
 
-def intrinsic_of(camera: CameraConfig) -> Floats:
+def intrinsic_of(camera: PinholeCamera) -> Floats:
     """Returns the (3, 3) camera matrix, pixels; centres of pixels have integer coordinates."""
-    focal = FRAME_SIZE_PX / 2 / np.tan(np.deg2rad(camera.fov_deg) / 2)
-    centre = FRAME_SIZE_PX / 2 - 0.5
-    return np.array([[focal, 0.0, centre], [0.0, focal, centre], [0.0, 0.0, 1.0]])
+    intrinsics = intrinsics_of(camera)
+    assert intrinsics is not None, "a pinhole camera has intrinsics"
+    return np.reshape(np.array(intrinsics.matrix), (3, 3))
 
 
-def camera_poses(poses: Floats, camera: CameraConfig, axes: Floats) -> Floats:
+def camera_poses(poses: Floats, camera: PinholeCamera, axes: Floats) -> Floats:
     """Returns the (T, 4, 4) poses of the camera in the world, metres.
 
     Args:
         poses: (T, 7) poses of base_link: x, y, z metres, and a quaternion w, x, y, z.
         camera: camera on base_link.
-        axes: (3, 3) the axes of the camera frame in base_link, as columns.
+        axes: (3, 3) the axes of the wanted frame in the frame of the camera (x forward, y left, z up), as columns.
     """
     turns = Rotation.from_quat(poses[:, [4, 5, 6, 3]]).as_matrix()
     result = np.tile(np.eye(4), (len(poses), 1, 1))
-    result[:, :3, :3] = turns @ axes
-    result[:, :3, 3] = poses[:, :3] + turns @ np.array((camera.x_m, camera.y_m, camera.z_m))
+    mount = camera.mount
+    result[:, :3, :3] = turns @ mount_rotation(mount) @ axes
+    result[:, :3, 3] = poses[:, :3] + turns @ np.array((mount.x_m, mount.y_m, mount.z_m))
     return result
 
 
@@ -263,7 +278,7 @@ class PixelGoal(NamedTuple):
     """Number of keyframes until the robot is there."""
 
 
-def pixel_goal(camera_pose: Floats, depth: NDArray[np.float32], camera: CameraConfig, positions: Floats) -> PixelGoal:
+def pixel_goal(camera_pose: Floats, depth: NDArray[np.float32], camera: PinholeCamera, positions: Floats) -> PixelGoal:
     """Returns the farthest position ahead that is in the image and not hidden, at least `_LEAST_GOAL_M` away.
 
     Args:

@@ -19,7 +19,7 @@ from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.options import PaperOptions
 from factory.export.origin import write_origin
-from factory.export.rig.description import RIG_FILE, rig_json, rig_table
+from factory.export.rig.description import rig_table
 from factory.export.rig.reader import SensorReader, arrays_of
 from factory.export.source import TIMES_AND_WORKERS, as_frames, plain_dataset_meta, plain_meta, to_json
 from schemas.bundle import EpisodeArrays, seal
@@ -75,7 +75,7 @@ _CARD = """
 - `actions_continuous.npy` (T, 2): v in m/s, w in rad/s; `actions_tokens.npy` (T, 2): 0..6; `poses.npy` (T, 7): x, y, z,
   qw, qx, qy, qz of base_link in the world frame. Frame t is what the robot saw before action t.
 - `metadata.parquet`: one row an episode; `data/<split>.parquet`: the same rows by split;
-  `dataset_meta.json`: plan, seed, versions.
+  `dataset_meta.json`: plan, seed, versions. `rig.json`: intrinsics and mounting pose of the camera.
 """
 
 
@@ -93,7 +93,7 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
 
     name = "paper"
     about = "the paper's tree: PNG, NPY and PNG for each frame; lossless and large"
-    version = 3
+    version = 4
     takes_rig = True
     options = PaperOptions
     facts = PaperFacts
@@ -140,8 +140,7 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
         text, hz, rig = _CARD, meta.plan.task.control_hz, export.dataset.rig
         if rig is not None:
             text += FOLDERS_TEXT + rig_table(rig, hz)
-            export.out.write_text(RIG_FILE, rig_json(rig, hz))
-        card = export_card(meta, len(export.pieces), text, configs)
+        card = export_card(meta, rig, len(export.pieces), text, configs)
         export.out.write_text(CARD_FILE, card)
         export.out.write_text(META_FILE, to_json(plain_dataset_meta(meta)))
 

@@ -16,6 +16,11 @@ from factory.dataset.episode import Episode
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import stride_of
 from factory.export.origin import origin_of
+from factory.export.rig.description import optical_poses
+from factory.export.rig.reader import shown_pinhole
+
+_BASE = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+"""Pose of base_link in itself."""
 
 
 class RldsObservation(TypedDict):
@@ -44,6 +49,8 @@ class Step(TypedDict):
     is_last: bool
     is_terminal: bool
     language_instruction: str
+    camera_pose: NDArray[np.float32]
+    """(7,) x, y, z, qw, qx, qy, qz of the optical frame (x right, y down, z forward) in the world, metres."""
 
 
 def rlds_steps(episode: Episode, fps: int | None = None, image_px: int = 256) -> Iterator[Step]:
@@ -63,6 +70,7 @@ def rlds_steps(episode: Episode, fps: int | None = None, image_px: int = 256) ->
     kept = kept_frames(len(episode), stride)
     columns = frame_columns(episode.actions, episode.poses, hz, stride)
     tokens = columns.tokens.astype(np.int32)
+    cameras = optical_poses(episode.poses[np.asarray(kept)], shown_pinhole(episode).mount).astype(np.float32)
     for number, t in enumerate(kept):
         is_last = number == len(kept) - 1
         yield {
@@ -79,11 +87,21 @@ def rlds_steps(episode: Episode, fps: int | None = None, image_px: int = 256) ->
             "is_last": is_last,
             "is_terminal": is_last,
             "language_instruction": episode.instruction,
+            "camera_pose": cameras[number],
         }
 
 
-def rlds_metadata(episode: Episode) -> dict[str, Any]:
-    row = episode.summary
+def rlds_metadata(episode: Episode, image_px: int = 256) -> dict[str, Any]:
+    """Returns the metadata of an episode.
+
+    Args:
+        episode: episode to describe.
+        image_px: side of the images, pixels, to which `camera_matrix` (3, 3) refers; the centre of the first pixel is
+            (0, 0). `camera_in_base` is the pose of the optical frame in base_link: x, y, z, qw, qx, qy, qz.
+    """
+    row, camera = episode.summary, shown_pinhole(episode)
+    (fx, fy), (cx, cy), scale = camera.focal_px, camera.centre_px, image_px / camera.width
+    matrix = ((fx * scale, 0.0, cx * scale - 0.5), (0.0, fy * scale, cy * scale - 0.5), (0.0, 0.0, 1.0))
     return {
         "episode_id": row.episode_id,
         "split": str(row.split),
@@ -93,6 +111,8 @@ def rlds_metadata(episode: Episode) -> dict[str, Any]:
         "template_id": row.template_id,
         "states_digest": episode.states_digest,
         "origin": origin_of(episode).to_json(),
+        "camera_matrix": [list(row) for row in matrix],
+        "camera_in_base": optical_poses(_BASE, camera.mount)[0].tolist(),
     }
 
 

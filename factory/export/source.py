@@ -34,13 +34,23 @@ _IDENTITY = (
 def open_source(root: Place, rig: str | Rig | None = None) -> Dataset:
     """Opens a dataset and describes it like a frames recording; raises the errors of `Dataset`.
 
-    Without `rig`, the recorded camera is exported, even if the episodes of the dataset store a rig.
+    Without `rig`, the recorded camera is exported, even if the plan of the dataset has a rig. The name of the plan's
+    rig selects it, even if it was a file.
     """
+    own = read_dataset_meta(root).plan.rig
+    if own is not None and rig == own.name:
+        rig = own
     dataset = Dataset(root, rig)
     if rig is None:
         dataset.rig = None
     dataset.meta = described_as_frames(dataset.meta)
     return dataset
+
+
+def recorded_run(root: Place) -> tuple[str, Recording]:
+    """Returns the name of the run of a dataset, and its kind of recording, as the dataset itself states them."""
+    meta = read_dataset_meta(root)
+    return meta.run, meta.plan.record
 
 
 def rows_digest(rows: pa.Table) -> str:

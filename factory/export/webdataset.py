@@ -25,8 +25,8 @@ from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import WebdatasetOptions, stride_of
 from factory.export.origin import COLUMN as ORIGIN
 from factory.export.origin import origin_of
-from factory.export.rig.description import RIG_FILE, rig_json, rig_table
-from factory.export.rig.reader import SensorReader, arrays_of
+from factory.export.rig.description import intrinsics_of, optical_poses, rig_table
+from factory.export.rig.reader import SensorReader, arrays_of, shown_rig
 from schemas.encoding.ndarray import encode_npy
 from schemas.encoding.png import encode_png
 from schemas.rig import CameraOutput, Imu, Sensor, WheelOdometry
@@ -105,16 +105,19 @@ random order, and the frames of an episode are adjacent. Shuffle with a buffer o
 |---|---|
 {members}\
 | `action.json` | `v_mps`, `w_rps` until the next sample (mean of the commands in between), `v_token`, `w_token` |
-| `json` | instruction, episode, step, time, pose, target, split; `origin`: JSON from which `factory replay --from` \
-simulates the episode again |
+| `json` | instruction, episode, step, time, pose, target, split, `cameras`; `origin`: JSON from which \
+`factory replay --from` simulates the episode again |
 
 ```python
 import webdataset
-for sample in webdataset.WebDataset("train_id-{{000000..000009}}.tar", shardshuffle=100).shuffle(2000).decode("rgb"):
+for sample in webdataset.WebDataset("{shards}", shardshuffle=100).shuffle(2000).decode("rgb"):
     {images}, sample["json"]["instruction"], sample["action.json"]["v_mps"]
 ```
 
-`shards.json` lists every shard with its samples, episodes and bytes.
+`cameras` of `json` has for each camera `camera_matrix` (9 values, row by row; the centre of the first pixel is 0, 0)
+and `pose`, x, y, z, qw, qx, qy, qz of its optical frame (x right, y down, z forward) in the world, when it took the
+image. `rig.json` has the cameras before the changes of an appearance. `shards.json` lists every shard with its samples,
+episodes and bytes.
 """
 _RECORDED_MEMBERS = """\
 | `rgb.png` | 640 x 640, 8 bit |
@@ -145,8 +148,8 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     """Exporter of format `webdataset`. A piece is a tar file without the end-of-archive blocks; pieces form a shard."""
 
     name = "webdataset"
-    about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless"
-    version = 2
+    about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless images"
+    version = 3
     assembles = True
     takes_rig = True
     options = WebdatasetOptions
@@ -159,11 +162,15 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         steps = kept_frames(len(episode), stride)
         columns = frame_columns(episode.actions, episode.poses, hz, stride)
         origin = origin_of(episode).to_json()
-        members = recorded_members if episode.rig is None else rig_members(SensorReader(episode), steps)
+        reader = None if episode.rig is None else SensorReader(episode)
+        members = recorded_members if reader is None else rig_members(reader, steps)
+        cameras = camera_facts(episode, reader, steps)
         size = 0
         with (folder / MEMBERS_FILE).open("wb") as file:
-            for t, action, tokens in zip(steps, columns.action.tolist(), columns.tokens.tolist(), strict=True):
-                for suffix, data in (*members(episode, t), *_facts_members(episode, t, action, tokens, origin)):
+            rows = zip(steps, columns.action.tolist(), columns.tokens.tolist(), cameras, strict=True)
+            for t, action, tokens, seen_by in rows:
+                facts = {**_facts(episode, t), "cameras": seen_by, ORIGIN: origin}
+                for suffix, data in (*members(episode, t), *_facts_members(facts, action, tokens)):
                     write_member(file, f"{episode.episode_id}_{t:06d}.{suffix}", data)
                     size += member_bytes(len(data))
         return WebdatasetFacts(frames=len(steps), member_bytes=size)
@@ -171,7 +178,7 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     def finish(self, export: Finish[WebdatasetOptions, WebdatasetFacts]) -> None:
         """Joins the pieces of each split into shards; writes the list of shards and the card."""
         listed: list[dict[str, Any]] = []
-        splits = dict.fromkeys(piece.split for piece in export.pieces)
+        splits = list(dict.fromkeys(piece.split for piece in export.pieces))
         for split in splits:
             pieces = [piece for piece in export.pieces if piece.split == split]
             for shard in shards_of(split, pieces, export.options.shard_mb * 1_000_000):
@@ -182,13 +189,14 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         export.out.write_text(SHARDS_FILE, json.dumps({"shards": listed}, indent=1) + "\n")
         files = {split: f"{split}-*.tar" for split in splits}
         configs = {"default": files} | {split: {"train": path} for split, path in files.items()}
-        hz, rig = export.dataset.meta.plan.task.control_hz, export.dataset.rig
+        plan, rig = export.dataset.meta.plan, export.dataset.rig
+        hz, shards = plan.task.control_hz, _pattern([str(one["name"]) for one in listed if one["split"] == splits[0]])
         if rig is None:
-            text = _CARD.format(members=_RECORDED_MEMBERS, images=_RECORDED_IMAGES)
+            text = _CARD.format(members=_RECORDED_MEMBERS, images=_RECORDED_IMAGES, shards=shards)
         else:
-            text = _CARD.format(members=MEMBERS_TEXT, images='sample["json"]["step"]') + rig_table(rig, hz)
-            export.out.write_text(RIG_FILE, rig_json(rig, hz))
-        card = export_card(export.dataset.meta, len(export.pieces), text, configs, tags=("webdataset",))
+            text = _CARD.format(members=MEMBERS_TEXT, images='sample["json"]["step"]', shards=shards)
+            text += rig_table(rig, hz)
+        card = export_card(export.dataset.meta, rig, len(export.pieces), text, configs, tags=("webdataset",))
         export.out.write_text(CARD_FILE, card)
 
 
@@ -214,6 +222,13 @@ def _shard_name(split: str, number: int) -> str:
     return f"{split}-{number:06d}.tar"
 
 
+def _pattern(shards: Sequence[str]) -> str:
+    """Returns the names of the shards of one split as a pattern that webdataset expands."""
+    stem, _, first = shards[0].removesuffix(".tar").rpartition("-")
+    last = shards[-1].removesuffix(".tar").rpartition("-")[2]
+    return shards[0] if len(shards) == 1 else f"{stem}-{{{first}..{last}}}.tar"
+
+
 def _contents(shard: Shard) -> dict[str, Any]:
     return {"episodes": [piece.episode_id for piece in shard.pieces], "member_bytes": shard.size}
 
@@ -226,12 +241,22 @@ def recorded_members(episode: Episode, t: int) -> Iterator[tuple[str, bytes]]:
     yield "seg.npy.gz", array_member(episode.ids(t))
 
 
-def _facts_members(
-    episode: Episode, t: int, action: list[float], tokens: list[int], origin: str
-) -> Iterator[tuple[str, bytes]]:
+def _facts_members(facts: dict[str, Any], action: list[float], tokens: list[int]) -> Iterator[tuple[str, bytes]]:
     (v, w), (v_token, w_token) = action, tokens
     yield "action.json", json_member({"v_mps": v, "w_rps": w, "v_token": v_token, "w_token": w_token})
-    yield "json", json_member({**_facts(episode, t), ORIGIN: origin})
+    yield "json", json_member(facts)
+
+
+def camera_facts(episode: Episode, reader: SensorReader | None, steps: Sequence[int]) -> list[dict[str, Any]]:
+    """Returns for each step the matrix and the pose of each camera, at the step of its measurement."""
+    facts: list[dict[str, Any]] = [{} for _ in steps]
+    for camera in shown_rig(episode).cameras:
+        seen = [t if reader is None else reader.latest_step(camera.name, t) for t in steps]
+        intrinsics = intrinsics_of(camera)
+        matrix = {} if intrinsics is None else {"camera_matrix": intrinsics.matrix}
+        for fact, pose in zip(facts, optical_poses(episode.poses[seen], camera.mount).tolist(), strict=True):
+            fact[camera.name] = {**matrix, "pose": pose}
+    return facts
 
 
 def _facts(episode: Episode, t: int) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from coordinator.expansion.catalog import Catalog, read_entry
 from coordinator.expansion.draw import PlannedJob, expand, to_job
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
+from schemas.appearance import Appearance
 from schemas.config import RobotConfig, TaskConfig
 from schemas.dataset.rows import EpisodeSummary, summary_of
 from schemas.plan import Plan, ScenePlan
@@ -31,7 +32,11 @@ CONTROL_HZ = 30
 
 
 def driven_plan(
-    record: Recording, episodes: int = 2, expert: ExpertName = ExpertName.PROPORTIONAL, seed: int = 42
+    record: Recording,
+    episodes: int = 2,
+    expert: ExpertName = ExpertName.PROPORTIONAL,
+    seed: int = 42,
+    appearance: Appearance | None = None,
 ) -> Plan:
     """Returns a plan of near episodes with short drives; the physics step has its usual length."""
     return Plan(
@@ -44,6 +49,7 @@ def driven_plan(
         robot=RobotConfig(physics_substeps=8),
         expert=expert,
         record=record,
+        appearance=appearance,
     )
 
 
@@ -53,9 +59,10 @@ def make_driven(
     episodes: int = 2,
     expert: ExpertName = ExpertName.PROPORTIONAL,
     seed: int = 42,
+    appearance: Appearance | None = None,
 ) -> Plan:
     """Drives and archives all episodes of `driven_plan`; returns the plan. Needs an EGL driver."""
-    plan = driven_plan(record, episodes, expert, seed)
+    plan = driven_plan(record, episodes, expert, seed, appearance)
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(encode_scene(box_room()))
     catalog = {SCENE: read_entry(source)}

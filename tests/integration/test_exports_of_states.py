@@ -11,9 +11,13 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.export.execution.export_run import ExportOrder, run_export
+from factory.export.execution.manifest import MANIFEST_FILE
+from factory.export.origin import find_origin
 from factory.export.output import WORK_FOLDER
 from factory.export.registry import EXPORTERS, find_exporter
 from factory.export.rlds import rlds_metadata
+from factory.verify.dataset import verify
+from schemas.dataset.meta import read_dataset_meta
 from schemas.terms import ExpertName, Recording
 from tests.builders.driven import make_driven
 
@@ -37,7 +41,12 @@ def exported(root: Path, out: Path, name: str, values: dict[str, Any]) -> dict[s
     options = find_exporter(name).options.model_validate(values)
     assert run_export(ExportOrder(root=root, out=out, format=name, options=options)).complete
     files = {path.relative_to(out): path for path in out.rglob("*") if path.is_file()}
-    return {str(file): path.read_bytes() for file, path in files.items() if file.parts[0] != WORK_FOLDER}
+    content = {str(file): path.read_bytes() for file, path in files.items() if file.parts[0] != WORK_FOLDER}
+    manifest = json.loads(content[MANIFEST_FILE])
+    named = {name: manifest["source"].pop(name) for name in ("run", "record", "dataset_digest")}
+    meta = read_dataset_meta(root)
+    assert named == {"run": meta.run, "record": meta.plan.record, "dataset_digest": verify(root).digest}
+    return {**content, MANIFEST_FILE: json.dumps(manifest).encode()}
 
 
 def both(recordings: Recordings, out: Path, name: str, values: dict[str, Any]) -> list[dict[str, bytes]]:
@@ -48,12 +57,22 @@ def test_every_format_is_compared() -> None:
     assert {name for name, _ in EXPORTS} == EXPORTERS.keys()
 
 
+def test_the_comparison_without_the_names_of_the_source_still_compares_the_rest(
+    recordings: Recordings, tmp_path: Path
+) -> None:
+    manifest = json.loads(exported(recordings[Recording.STATES], tmp_path / "out", "gnm", {})[MANIFEST_FILE])
+    assert {"frames_run", "rows_digest", "selection_digest"} <= manifest["source"].keys()
+
+
 @pytest.mark.parametrize(("name", "values"), EXPORTS)
 def test_an_export_of_states_has_the_bytes_of_an_export_of_frames(
     recordings: Recordings, tmp_path: Path, name: str, values: dict[str, Any]
 ) -> None:
     frames, states = both(recordings, tmp_path, name, values)
     assert [file for file in sorted(frames.keys() | states.keys()) if frames.get(file) != states.get(file)] == []
+    for episode in Dataset(recordings[Recording.STATES]):
+        origin = find_origin(tmp_path / Recording.STATES, episode.episode_id)
+        assert (origin.episode, origin.states_digest) == (episode.episode_id, episode.states_digest)
 
 
 def test_the_visibility_that_the_planner_did_not_record_is_computed(tmp_path: Path) -> None:

@@ -119,18 +119,25 @@ def test_lerobot_rows_have_the_latest_measurements(
     assert json.loads((exports[name] / "meta/rig.json").read_text())["sensors"][0]["every_steps"] == 3
 
 
+def images_of(features: dict[str, dict[str, Any]]) -> dict[str, tuple[Any, ...]]:
+    images = {key: value for key, value in features.items() if value["dtype"] in ("image", "video")}
+    return {key: (value["dtype"], *value["shape"]) for key, value in images.items()}
+
+
 def test_lerobot_videos_show_every_camera(exports: dict[str, Path], episode: Episode) -> None:
     out = exports["lerobot"]
     features = json.loads((out / "meta/info.json").read_text())["features"]
-    cameras = {key.removeprefix("observation.images."): value for key, value in features.items() if "images" in key}
-    assert {name: (value["dtype"], *value["shape"]) for name, value in cameras.items()} == {
-        "front": ("video", 64, 96, 3),
-        "front_depth": ("video", 64, 96, 1),
-        "front_ids": ("image", 64, 96, 1),
-        "eye": ("video", 64, 64, 3),
-        "eye_depth": ("video", 64, 64, 1),
-        "eye_ids": ("image", 64, 64, 1),
-        "around": ("video", 32, 64, 3),
+    extra = json.loads((out / "extra/meta/info.json").read_text())["features"]
+    assert images_of(features) == {
+        "observation.images.front": ("video", 64, 96, 3),
+        "observation.images.eye": ("video", 64, 64, 3),
+        "observation.images.around": ("video", 32, 64, 3),
+    }
+    assert images_of(extra) == {
+        "depth.front": ("video", 64, 96, 1),
+        "ids.front": ("image", 64, 96, 1),
+        "depth.eye": ("video", 64, 64, 1),
+        "ids.eye": ("image", 64, 64, 1),
     }
     for camera in (FRONT, EYE, AROUND):
         place = out / f"videos/observation.images.{camera.name}/chunk-000/file-000.mp4"
@@ -140,15 +147,15 @@ def test_lerobot_videos_show_every_camera(exports: dict[str, Path], episode: Epi
             truth = seen(episode, camera.name, latest(camera, row * STRIDE)).rgb
             assert np.abs(shown[row][2].astype(int) - truth).mean() < 10
     for camera in (FRONT, EYE):
-        info = features[f"observation.images.{camera.name}_depth"]["info"]
-        place = out / f"videos/observation.images.{camera.name}_depth/chunk-000/file-000.mp4"
+        info = extra[f"depth.{camera.name}"]["info"]
+        place = out / f"extra/videos/depth.{camera.name}/chunk-000/file-000.mp4"
         codes = [image for _, _, image in read_video(place, "gray12le")]
         truth = seen(episode, camera.name, latest(camera, 7 * STRIDE)).depth
         assert info["video.depth_max"] > truth.max()
         step = np.log((info["video.depth_max"] + 3.5) / 3.5) / 4095
         error = np.abs(DepthCode(info["video.depth_max"]).decode(codes[7]) - truth)
         assert (error <= 0.51 * step * (truth + 3.5) + 1e-4).all()
-    pictures = pq.read_table(out / "data/chunk-000/file-000.parquet")["observation.images.eye_ids"].to_pylist()
+    pictures = pq.read_table(out / "extra/data/chunk-000/file-000.parquet")["ids.eye"].to_pylist()
     ids = np.asarray(Image.open(io.BytesIO(pictures[7]["bytes"])))
     assert np.array_equal(ids, seen(episode, "eye", latest(EYE, 7 * STRIDE)).ids)
 

@@ -12,7 +12,7 @@ import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from paper_tree import Paper, mean_commands, psnr
 
-RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
+RGB, DEPTH, IDS = "observation.images.front", "depth.front", "ids.front"
 LEAST_PSNR_DB = 30.0
 RECORDED_HZ = 60
 CHUNK, BATCHES = 8, 8
@@ -29,8 +29,12 @@ class Listed(NamedTuple):
     tasks: list[str]
 
 
-def check_frames(paper: Paper, data: Any, episodes: list[Listed]) -> str:
-    """Compares every episode's rows, and frames at its beginning, middle and end, with the paper's tree."""
+def check_frames(paper: Paper, data: Any, episodes: list[Listed], extra: Any = None) -> str:
+    """Compares every episode's rows, and frames at its beginning, middle and end, with the paper's tree.
+
+    `extra` is the second dataset of the export, with depth and ids of the same rows.
+    """
+    features = {} if extra is None else extra.features
     assert len(data) == data.meta.total_frames == sum(episode.length for episode in episodes)
     stride = RECORDED_HZ // data.fps
     worst, deepest, compared, start = np.inf, 0.0, 0, 0
@@ -45,16 +49,18 @@ def check_frames(paper: Paper, data: Any, episodes: list[Listed]) -> str:
             assert abs(float(item["timestamp"]) - frame / data.fps) < 1e-4
             shown = np.rint(item[RGB].numpy().transpose(1, 2, 0) * 255.0)
             worst = min(worst, psnr(shown, paper.rgb(episode.name, t)))
-            if DEPTH in item:
+            if extra is not None:
+                item = extra[start + frame] | item
+            if DEPTH in features:
                 deepest = max(deepest, depth_error_mm(item[DEPTH].numpy()[0], paper.depth(episode.name, t)))
-            if IDS in item:
+            if IDS in features:
                 assert np.array_equal(item[IDS].numpy()[0], paper.ids(episode.name, t))
             compared += 1
         start += episode.length
     assert worst >= LEAST_PSNR_DB, f"{worst:.1f} dB"
     result = f"{len(data)} frames, {compared} compared, RGB at least {worst:.1f} dB"
-    result += f", depth at most {deepest:.1f} mm off" if DEPTH in data.features else ""
-    return result + (", ids equal" if IDS in data.features else "")
+    result += f", depth at most {deepest:.1f} mm off" if DEPTH in features else ""
+    return result + (", ids equal" if IDS in features else "")
 
 
 def check_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int) -> None:

@@ -20,9 +20,13 @@ from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.dataset_tools import delete_episodes, split_dataset
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.scripts.convert_dataset_v21_to_v30 import convert_dataset
+from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_frames import RGB, Listed, check_batches, check_frames
 from paper_tree import Paper
 from result import named, print_row
+from snippets import run_snippets
+
+DOCUMENT = Path(__file__).parents[2] / "docs/formats/lerobot.md"
 
 
 def main() -> None:
@@ -33,9 +37,22 @@ def main() -> None:
             continue
         for backend in backends():
             print_row(export, f"{reader}, {backend}", check_export(paper, export, backend))
+        print_row(export, reader, check_policy(export))
+        print_row(export, reader, check_snippets(export))
         print_row(export, reader, check_parts(export))
         print_row(export, reader, check_aggregate(export))
         print_row(export, reader, check_tools(export))
+
+
+def check_snippets(export: Path) -> str:
+    """Runs the snippets that the export and the documents print."""
+    count = run_snippets(export / "README.md", export, "lerobot")
+    if not (export / "extra").exists():  # a snippet of the document needs depth
+        return f"{count} printed snippet runs"
+    with tempfile.TemporaryDirectory() as place:
+        (Path(place) / "out").symlink_to(export.resolve())
+        count += run_snippets(DOCUMENT, Path(place), "lerobot")
+    return f"{count} printed snippets run"
 
 
 def backends() -> list[str]:
@@ -56,7 +73,21 @@ def check_export(paper: Paper, export: Path, backend: str) -> str:
     ]
     starts = [found["dataset_from_index"] for found in data.meta.episodes]
     assert starts == [sum(one.length for one in listed[:number]) for number in range(len(listed))]
-    return check_frames(paper, data, listed)
+    extra = export / "extra"
+    second = LeRobotDataset("test/extra", root=extra, video_backend=backend) if extra.exists() else None
+    return check_frames(paper, data, listed, second)
+
+
+def check_policy(export: Path) -> str:
+    """Checks which features a policy of LeRobot takes by itself: those that are known while it drives."""
+    taken = dataset_to_policy_features(LeRobotDataset("test/nav", root=export).meta.features)
+    assert {name: feature.type.name for name, feature in taken.items()} == {
+        RGB: "VISUAL",
+        "observation.state": "STATE",
+        "action": "ACTION",
+    }
+    assert taken[RGB].shape == (3, 640, 640)
+    return "a policy takes colour, state and action only"
 
 
 def check_parts(export: Path) -> str:

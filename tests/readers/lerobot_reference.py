@@ -18,43 +18,52 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from PIL import Image
 
 FPS, SIDE = 60, 640
+POSE = {"dtype": "float32", "shape": (7,), "names": ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]}
+MATRIX_NAMES = ["fx", "skew", "cx", "zero_10", "fy", "cy", "zero_20", "zero_21", "one"]
+CAMERA = {
+    "camera_pose.front": POSE,
+    "camera_matrix.front": {"dtype": "float32", "shape": (9,), "names": MATRIX_NAMES},
+}
 FEATURES = {
     "observation.images.front": {"dtype": "video", "shape": (SIDE, SIDE, 3), "names": ["height", "width", "channels"]},
-    "observation.images.front_depth": {
+    "observation.state": {"dtype": "float32", "shape": (5,), "names": ["x_m", "y_m", "yaw_rad", "v_mps", "w_rps"]},
+    "action": {"dtype": "float32", "shape": (2,), "names": ["v_mps", "w_rps"]},
+    "tokens": {"dtype": "int64", "shape": (2,), "names": ["v", "w"]},
+    "pose": POSE,
+    **CAMERA,
+}
+EXTRA = {
+    "depth.front": {
         "dtype": "video",
         "shape": (SIDE, SIDE, 1),
         "names": ["height", "width", "channels"],
         "info": {"is_depth_map": True, "depth_unit": "m"},
     },
-    "observation.images.front_ids": {
-        "dtype": "image",
-        "shape": (SIDE, SIDE, 1),
-        "names": ["height", "width", "channels"],
-    },
-    "observation.state": {"dtype": "float32", "shape": (5,), "names": ["x_m", "y_m", "yaw_rad", "v_mps", "w_rps"]},
-    "action": {"dtype": "float32", "shape": (2,), "names": ["v_mps", "w_rps"]},
-    "tokens": {"dtype": "int64", "shape": (2,), "names": ["v", "w"]},
-    "pose": {"dtype": "float32", "shape": (7,), "names": ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]},
+    "ids.front": {"dtype": "image", "shape": (SIDE, SIDE, 1), "names": ["height", "width", "channels"]},
+    **CAMERA,
 }
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as place:
-        root = Path(place) / "reference"
-        write(root)
-        json.dump(schema_of(root), sys.stdout, indent=1)
+        schemas = {}
+        for name, features in {"main": FEATURES, "extra": EXTRA}.items():
+            root = Path(place) / name
+            write(root, features)
+            schemas[name] = schema_of(root)
+        json.dump(schemas, sys.stdout, indent=1)
         sys.stdout.write("\n")
 
 
-def write(root: Path) -> None:
+def write(root: Path, features: dict[str, dict[str, object]]) -> None:
     rgb = RGBEncoderConfig(vcodec="h264", g=2, crf=19, preset="veryfast")
     depth = DepthEncoderConfig(depth_min=0.0, depth_max=30.0, g=10, preset="superfast")
     dataset = LeRobotDataset.create(
-        "test/reference", FPS, FEATURES, root=root, robot_type="nova_carter", rgb_encoder=rgb, depth_encoder=depth
+        "test/reference", FPS, features, root=root, robot_type="nova_carter", rgb_encoder=rgb, depth_encoder=depth
     )
     for _ in range(2):
         for t in range(4):
-            dataset.add_frame(frame(t))
+            dataset.add_frame({name: value for name, value in frame(t).items() if name in {*features, "task"}})
         dataset.save_episode()
     dataset.finalize()
 
@@ -62,12 +71,14 @@ def write(root: Path) -> None:
 def frame(t: int) -> dict[str, object]:
     return {
         "observation.images.front": np.full((SIDE, SIDE, 3), 40 * t, np.uint8),
-        "observation.images.front_depth": np.full((SIDE, SIDE, 1), 1.5 + t, np.float32),
-        "observation.images.front_ids": Image.fromarray(np.full((SIDE, SIDE), 300 + t, np.uint16)),
+        "depth.front": np.full((SIDE, SIDE, 1), 1.5 + t, np.float32),
+        "ids.front": Image.fromarray(np.full((SIDE, SIDE), 300 + t, np.uint16)),
         "observation.state": np.arange(5, dtype=np.float32) + t,
         "action": np.arange(2, dtype=np.float32),
         "tokens": np.array([3, t], np.int64),
         "pose": np.arange(7, dtype=np.float32),
+        "camera_pose.front": np.arange(7, dtype=np.float32),
+        "camera_matrix.front": np.arange(9, dtype=np.float32),
         "task": "Go to the chair.",
     }
 

@@ -29,11 +29,13 @@ def main() -> None:
     rig = json.loads((export / "meta/rig.json").read_text())
     assert rig == json.loads((paper / "rig.json").read_text())
     data = LeRobotDataset("test/rig", root=export, video_backend="pyav")
+    extra = LeRobotDataset("test/extra", root=export / "extra", video_backend="pyav")
     seen: Counter[str] = Counter()
     for found in data.meta.episodes:
         sensors = paper / "episodes" / found["episode_id"] / "sensors"
         for frame in np.linspace(0, found["length"] - 1, FRAMES).astype(int).tolist():
-            item = data[found["dataset_from_index"] + frame]
+            row = found["dataset_from_index"] + frame
+            item = extra[row] | data[row]
             for sensor in rig["sensors"]:
                 step = frame * rig["control_hz"] // data.fps
                 check_sensor(item, sensor, sensors / sensor["name"], step // sensor["every_steps"])
@@ -69,9 +71,11 @@ def check_camera(item: dict[str, Any], camera: dict[str, Any], folder: Path, fil
         assert found >= LEAST_PSNR_DB, f"{key} {found:.1f} dB"
     if "depth" in camera["outputs"]:
         truth = np.load(folder / f"depth/{file}.npy")
-        assert np.abs(item[f"{key}_depth"].numpy()[0] / 1000 - truth).max() < 0.02
+        assert np.abs(item[f"depth.{camera['name']}"].numpy()[0] / 1000 - truth).max() < 0.02
     if "ids" in camera["outputs"]:
-        assert np.array_equal(item[f"{key}_ids"].numpy()[0], np.asarray(Image.open(folder / f"ids/{file}.png")))
+        assert np.array_equal(
+            item[f"ids.{camera['name']}"].numpy()[0], np.asarray(Image.open(folder / f"ids/{file}.png"))
+        )
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot_frames import RECORDED_HZ, Listed, check_batches, check_frames
 from paper_tree import Paper, mean_commands
 from result import named, print_row
+from snippets import run_snippets
 
 DEFAULT_COLUMN = {"state": "observation.state", "action": "action"}
 NEEDED_STATISTICS = {"min", "max", "mean", "std", "q01", "q99"}
@@ -31,6 +32,7 @@ def main() -> None:
     paper, reader = Paper(Path(sys.argv[1])), named("lerobot")
     for export in map(Path, sys.argv[2:]):
         print_row(export, f"{reader}, pyav", check_lerobot(paper, export))
+        print_row(export, reader, f"{run_snippets(export / 'README.md', export, 'lerobot')} printed snippet runs")
         print_row(export, reader, check_parts(export))
         print_row(export, reader, check_statistics(export))
         print_row(export, "operations of GR00T's loaders", check_gr00t(paper, export))

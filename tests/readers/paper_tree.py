@@ -13,6 +13,7 @@ class Paper:
     """A dataset as `factory export --to paper` writes it; arrays are read with numpy or Pillow."""
 
     def __init__(self, root: Path) -> None:
+        self.root = root
         self.episodes = root / "episodes"
 
     def meta(self, name: str) -> dict[str, Any]:

@@ -8,6 +8,7 @@ not import it). Exits with code 1 at the first failed check.
 PAPER: DATASET as `factory export --to paper`. BUILT: a folder that does not exist, for the built dataset.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from paper_tree import Paper, mean_commands
 from result import named, print_row
 
 RECIPE = Path(__file__).parents[2] / "docs/formats/rlds/build.py"
+README = RECIPE.with_name("README.md")
 RECORDED_HZ, FPS, IMAGE_PX = 60, 10, 640
 
 
@@ -28,12 +30,16 @@ def main() -> None:
     paper = Paper(tree)
     values = {"MINIVLA_DATASET": str(dataset.resolve()), "MINIVLA_FPS": str(FPS), "MINIVLA_IMAGE_PX": str(IMAGE_PX)}
     subprocess.run([sys.executable, str(RECIPE), str(built)], env={**os.environ, **values}, check=True)
-    builder = tfds.builder_from_directory(built / "minivla_nav/1.0.0")
+    (version,) = (built / "minivla_nav").iterdir()
+    assert str(version.relative_to(built)) in README.read_text(encoding="utf-8"), "the recipe names another version"
+    builder = tfds.builder_from_directory(version)
     seen: dict[str, int] = {}
     for split in builder.info.splits:
         for episode in builder.as_dataset(split=split):
             name = episode["episode_metadata"]["episode_id"].numpy().decode()
-            seen[name] = check_episode(paper, name, split, list(tfds.as_numpy(episode["steps"])))
+            steps = list(tfds.as_numpy(episode["steps"]))
+            seen[name] = check_episode(paper, name, split, steps)
+            check_camera(paper, name, steps, tfds.as_numpy(episode["episode_metadata"]))
     assert seen.keys() == {path.name for path in paper.episodes.iterdir()}
     result = (
         f"{sum(seen.values())} steps of {len(seen)} episodes in {len(builder.info.splits)} splits, built and read back"
@@ -58,6 +64,16 @@ def check_episode(paper: Paper, name: str, split: str, steps: list[dict[str, Any
         assert (step["reward"], step["discount"]) == (float(is_last), 1.0)
         assert step["language_instruction"].decode() == job["instruction"]
     return len(steps)
+
+
+def check_camera(paper: Paper, name: str, steps: list[dict[str, Any]], about: dict[str, Any]) -> None:
+    """Compares matrix and poses of the camera with the description of the camera and the poses of the paper's tree."""
+    (camera,) = json.loads((paper.root / "rig.json").read_text())["sensors"]
+    np.testing.assert_allclose(about["camera_matrix"].ravel(), camera["camera_matrix"], rtol=1e-6)
+    np.testing.assert_allclose(about["camera_in_base"][:3], camera["pose"][:3], atol=1e-6)
+    poses = paper.array(name, "poses")[:: RECORDED_HZ // FPS]
+    offset = np.linalg.norm([step["camera_pose"][:3] for step in steps] - poses[:, :3], axis=1)
+    np.testing.assert_allclose(offset, np.linalg.norm(camera["pose"][:3]), atol=1e-5)
 
 
 if __name__ == "__main__":

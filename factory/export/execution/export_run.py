@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
@@ -30,7 +30,8 @@ from factory.export.execution.selection import select
 from factory.export.options import Options
 from factory.export.output import Output, sync_tree
 from factory.export.registry import find_exporter, require_packages, require_rig_support
-from factory.export.source import open_source, rows_digest
+from factory.export.rig.description import recorded_rig, rig_json
+from factory.export.source import open_source, recorded_run, rows_digest
 from factory.support.task_pool import run_tasks
 from schemas.base import Model
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError, WorldError
@@ -198,7 +199,7 @@ def run_export(
     dataset, manifest = plan_manifest(order, exporter)
     there = require_same_export(order.out, manifest)
     if there is not None and there.complete:
-        return _nothing_to_do(order, dataset, there)
+        return _nothing_to_do(order, dataset, there.model_copy(update={"source": manifest.source}))
     with Output(order.out) as out:
         if there is None:
             write_manifest(out, manifest)
@@ -235,9 +236,13 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
         exporter.check_rig(dataset.rig, order.options)
         options["rig"] = f"{dataset.rig.name} {hashlib.sha256(dataset.rig.model_dump_json().encode()).hexdigest()[:12]}"
     digest = rows_digest(dataset.metadata)
+    run, record = recorded_run(order.root)
     source = Source(
-        run=whole.meta.run,
-        dataset_digest=digest if len(dataset) == len(whole) else rows_digest(whole.metadata),
+        run=run,
+        record=record,
+        dataset_digest=whole.digest,
+        frames_run=whole.meta.run,
+        rows_digest=digest if len(dataset) == len(whole) else rows_digest(whole.metadata),
         selection_digest=digest,
         splits=tuple(order.splits),
         episodes=len(dataset),
@@ -314,6 +319,9 @@ def _finish(state: _State, manifest: ExportManifest) -> ExportManifest:
     state.out.begin_finish(piece.episode_id for piece in pieces)
     state.out.before_file = state.require_running
     try:
+        plan = state.dataset.meta.plan
+        rig = state.dataset.rig or recorded_rig(plan.camera)
+        state.out.write_text(state.exporter.rig_file, rig_json(rig, plan.task.control_hz))
         state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
     except _Stopped:
         return manifest
@@ -333,7 +341,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifes
         size = out.size_bytes()
     return ExportReport(
         dataset=str(order.root),
-        dataset_digest=manifest.source.selection_digest,
+        dataset_digest=manifest.source.dataset_digest,
         format=manifest.format,
         out=str(order.out),
         episodes=manifest.episodes,
@@ -341,6 +349,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifes
         resumed=manifest.episodes,
         skipped=(),
         absent=_absent(order, dataset),
+        **_left_out(order),
         bytes=size,
         seconds=0.0,
         frames_per_second=None,
@@ -351,7 +360,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifes
 def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportReport:
     return ExportReport(
         dataset=str(state.order.root),
-        dataset_digest=manifest.source.selection_digest,
+        dataset_digest=manifest.source.dataset_digest,
         format=manifest.format,
         out=str(state.order.out),
         episodes=len(state.pieces),
@@ -359,11 +368,29 @@ def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportRe
         resumed=state.resumed,
         skipped=manifest.skipped,
         absent=_absent(state.order, state.dataset),
+        **_left_out(state.order),
         bytes=state.out.size_bytes(),
         seconds=round(seconds, 3),
         frames_per_second=round(state.frames / seconds, 1) if state.frames else None,
         complete=manifest.complete,
     )
+
+
+class _LeftOut(TypedDict):
+    unselected: tuple[str, ...]
+    rig_left_out: str | None
+
+
+def _left_out(order: ExportOrder) -> _LeftOut:
+    """Returns what the dataset has but the order does not select."""
+    dataset = Dataset(order.root)
+    rig = dataset.meta.plan.rig if order.rig is None and find_exporter(order.format).takes_rig else None
+    unselected: list[str] = []
+    if order.splits and order.episodes:
+        asked = dataset.filter(episode=order.episodes)
+        rows = zip(asked.column("episode_id").to_pylist(), asked.column("split").to_pylist(), strict=True)
+        unselected = [name for name, split in rows if split not in order.splits]
+    return {"unselected": tuple(unselected), "rig_left_out": None if rig is None else rig.name}
 
 
 def _absent(order: ExportOrder, dataset: Dataset) -> tuple[str, ...]:

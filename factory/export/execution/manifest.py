@@ -8,12 +8,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from factory.export.output import WORK_FOLDER, Output
 from schemas.base import Model, Sha256
 from schemas.dataset.meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
+from schemas.terms import Recording
 
 
 class Skip(Model):
@@ -27,8 +28,8 @@ class ExportReport(Model):
     """Report of an export."""
 
     dataset: str
-    dataset_digest: str
-    """Digest of the selected episodes."""
+    dataset_digest: str | None
+    """Digest of the dataset, as `factory verify` prints it."""
     format: str
     out: str
     episodes: int
@@ -41,6 +42,10 @@ class ExportReport(Model):
     absent: tuple[str, ...]
     """Ids of planned episodes that the dataset does not have, because the run is unfinished or has abandoned them;
     empty if episodes were selected by id."""
+    unselected: tuple[str, ...]
+    """Ids that were selected by `--episode`, but are in other splits than the selected ones."""
+    rig_left_out: str | None
+    """Rig of the dataset's plan whose sensors the format supports, if the recorded camera is exported; else null."""
     bytes: int
     """Size of the export, bytes."""
     seconds: float
@@ -59,15 +64,26 @@ class ExportReport(Model):
 MANIFEST_FILE = "export.json"
 
 
-class Source(Model):
-    """Source of an export, equal for a frames and a states recording of the same plan.
+_VERSION = 2
+"""Version of the manifest format. Version 1 had the rows digest in the place of the dataset digest, and no record."""
 
-    Exports of equal source, format and options are equal.
+
+class Source(Model):
+    """Source of an export.
+
+    `run`, `record` and `dataset_digest` identify the dataset. `frames_run`, `rows_digest` and `selection_digest` are
+    equal for a frames and a states recording of the same plan; exports are equal if they, format and options are equal.
     """
 
     run: str
-    """Name of the run; for a states recording, the name that a frames recording of the same plan has."""
-    dataset_digest: Sha256
+    """Name of the run, as the dataset states it."""
+    record: Recording | None = None
+    """Kind of recording of the dataset; null in exports of manifest version 1."""
+    dataset_digest: Sha256 | None
+    """Digest of the dataset, as `factory verify` prints it; null in exports of manifest version 1."""
+    frames_run: str
+    """Name of the run of a frames recording of the same plan."""
+    rows_digest: Sha256
     """SHA-256 over the rows of all episodes of the dataset, see `factory.export.source.rows_digest`."""
     selection_digest: Sha256
     """SHA-256 over the rows of the selected episodes."""
@@ -80,7 +96,7 @@ class Source(Model):
 class ExportManifest(Model):
     """Content of `export.json`."""
 
-    manifest: int = 1
+    manifest: int = _VERSION
     """Version of the manifest format."""
     format: str
     format_version: int
@@ -94,6 +110,16 @@ class ExportManifest(Model):
     complete: bool = False
     """Whether the export contains all selected episodes."""
     skipped: tuple[Skip, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _upgrade(cls, values: Any) -> Any:
+        """Reads version 1, in which `dataset_digest` was the digest of the rows and `run` that of the frames plan."""
+        if isinstance(values, dict) and values.get("manifest") == 1 and isinstance(values.get("source"), dict):
+            source = values["source"]
+            former = {"frames_run": source.get("run"), "rows_digest": source.get("dataset_digest")}
+            return {**values, "source": {**source, **former, "dataset_digest": None}}
+        return values
 
 
 def read_manifest(root: Path) -> ExportManifest | None:
@@ -152,7 +178,7 @@ def _differences(recorded: ExportManifest, wanted: ExportManifest) -> list[str]:
     one, two = recorded.source, wanted.source
     texts = [
         _differ("format", recorded.format, wanted.format),
-        _differ("dataset", f"{one.run} {one.dataset_digest[:12]}", f"{two.run} {two.dataset_digest[:12]}"),
+        _differ_in_dataset(one, two),
         _differ("options", _format_pairs(recorded.options), _format_pairs(wanted.options)),
     ]
     if not any(texts):
@@ -169,6 +195,13 @@ def _versions(manifest: ExportManifest) -> str:
 
 def _selection(source: Source) -> str:
     return f"{source.episodes} of {' '.join(source.splits) or 'all splits'} ({source.selection_digest[:12]})"
+
+
+def _differ_in_dataset(one: Source, two: Source) -> str:
+    if (one.frames_run, one.rows_digest) == (two.frames_run, two.rows_digest):
+        return ""
+    recorded, wanted = (f"{each.run} {(each.dataset_digest or each.rows_digest)[:12]}" for each in (one, two))
+    return f"dataset {recorded}, requested {wanted}"
 
 
 def _differ(what: str, recorded: str, wanted: str) -> str:

@@ -9,6 +9,7 @@ from factory.export.execution.export_run import ExportProgress
 from factory.export.execution.manifest import ExportReport
 from factory.support.terminal import Bars
 from factory.support.text import format_duration
+from schemas.support.shell import quoted
 
 _NAMED = 5
 
@@ -29,15 +30,32 @@ class ExportBar(Bars):
 
 
 def print_omitted(report: ExportReport) -> None:
-    """Prints on stderr which episodes were skipped, and which are missing in the dataset."""
+    """Prints on stderr which episodes were skipped, not selected or missing, and the rig that was not exported."""
+    if report.unselected:
+        click.echo(
+            f"not exported, because --split does not select their splits: {_named(report.unselected)}; "
+            "omit --split to export all episodes of --episode",
+            err=True,
+        )
+    if report.rig_left_out is not None:
+        click.echo(
+            f"the frames are those of the recorded camera; to export the sensors of the dataset's rig, add --rig "
+            f"{quoted(report.rig_left_out)}",
+            err=True,
+        )
     for skip in report.skipped:
         click.echo(f"skipped {skip.episode_id}: {skip.reason}", err=True)
     if report.absent:
-        named, more = ", ".join(report.absent[:_NAMED]), len(report.absent) - _NAMED
-        names = f"{named} and {more} more" if more > 0 else named
         click.echo(
-            f"missing in the dataset: {names}; to export them, finish the run and export to another --out", err=True
+            f"missing in the dataset: {_named(report.absent)}; to export them, finish the run and export to "
+            "another --out",
+            err=True,
         )
+
+
+def _named(episodes: tuple[str, ...]) -> str:
+    named, more = ", ".join(episodes[:_NAMED]), len(episodes) - _NAMED
+    return f"{named} and {more} more" if more > 0 else named
 
 
 def print_report(report: ExportReport) -> None:

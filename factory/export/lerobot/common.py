@@ -7,25 +7,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from coordinator.tables.card import Configs
+from coordinator.tables.card import Configs, robot_name
 from factory.dataset.episode import Episode
 from factory.dataset.steps import has_questions, has_routes
 from factory.export.base import Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.features import features_of
-from factory.export.lerobot.layout import RGB, ImageFeature, Layout, layout_of
+from factory.export.lerobot.layout import EXTRA_FOLDER, RGB, ImageFeature, Layout, extra_layout_of, layout_of
 from factory.export.lerobot.numbering import Numbered, Numbering, number_pieces
 from factory.export.lerobot.piece import LeRobotFacts, empty_tally, read_columns, stats_of_images, write_piece
 from factory.export.lerobot.statistics import ImageTally, RunningStats, vector_stats
 from factory.export.options import Decimated, LeRobotOptions, stride_of
 from factory.export.output import Output
-from factory.export.rig.description import RIG_FILE, rig_json, rig_table
+from factory.export.rig.description import RIG_FILE, rig_table
 from schemas.config import CameraConfig
 from schemas.dataset.meta import DatasetMeta
 from schemas.rig import CameraOutput, DepthKind, Rig
@@ -65,7 +66,7 @@ class DatasetStats:
 
 def _matrices(numbered: Numbered, layout: Layout) -> Iterator[tuple[str, Any]]:
     """Yields the name and the values (N,) or (N, D) of each column; for scans, the ranges of all frames (N * rays,)."""
-    without_pictures = Layout(layout.videos, layout.columns)
+    without_pictures = replace(layout, images=layout.videos)
     table = read_columns(numbered.piece.folder, numbered.numbers(), without_pictures)
     for name, column in layout.columns.items():
         array = table[name].combine_chunks()
@@ -75,8 +76,6 @@ def _matrices(numbered: Numbered, layout: Layout) -> Iterator[tuple[str, Any]]:
         yield name, values if column.is_scan or not column.shape else values.reshape(-1, *column.shape)
 
 
-ROBOT = "nova_carter"
-_RIG_FILE = f"meta/{RIG_FILE}"
 OptionsT = TypeVar("OptionsT", bound=Decimated)
 _TEXT = """\
 A [LeRobot](https://github.com/huggingface/lerobot) dataset, version {version}, {fps} frames per second{decimated}.
@@ -125,11 +124,13 @@ class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
     requires = ("av",)
     assembles = True
     takes_rig = True
+    rig_file = f"meta/{RIG_FILE}"
     facts = LeRobotFacts
 
     def check_rig(self, rig: Rig, options: OptionsT) -> None:
         """Validates that no feature occurs twice, and that width and height of videos are even numbers."""
-        layout_of(_widened(options), CameraConfig(), rig)
+        layout_of(CameraConfig(), rig)
+        extra_layout_of(_widened(options), CameraConfig(), rig)
 
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> LeRobotFacts:
         """Writes videos and columns of one episode."""
@@ -155,12 +156,38 @@ class LeRobotExport:
     asked_about: str | None
     """Image feature that the questions of the source are about; `None` if the source has no questions, or if the images
     of a rig are exported."""
+    extra: Layout | None = None
+    """Layout of the second dataset, with depth and ids; `None` if neither is exported."""
+    folder: str = ""
+    """Prefix of the paths of all files of the dataset."""
+
+    def with_extra(self) -> Iterator[LeRobotExport]:
+        """Yields the second dataset, if there is one, then this one."""
+        if self.extra is not None:
+            yield replace(
+                self,
+                layout=self.extra,
+                extra=None,
+                has_routes=False,
+                asked_about=None,
+                folder=f"{self.folder}{EXTRA_FOLDER}/",
+            )
+        yield self
+
+    def has(self, name: str) -> bool:
+        """Returns whether an interrupted call has finished a file of the dataset."""
+        return self.out.has(self.folder + name)
+
+    def replacing(self, name: str) -> AbstractContextManager[Path]:
+        """Opens a file of the dataset for writing, as `Output.replacing` does."""
+        return self.out.replacing(self.folder + name)
 
     def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
         text = card_text(version, self)
         self.out.write_text(
-            CARD_FILE, export_card(self.meta, len(self.numbering), text=text, configs=configs, tags=["LeRobot"])
+            CARD_FILE,
+            export_card(self.meta, self.rig, len(self.numbering), text=text, configs=configs, tags=["LeRobot"]),
         )
 
     def write_stats(self, stats: Stats) -> None:
@@ -181,16 +208,14 @@ class LeRobotExport:
         }
         shared = {
             "splits": self.numbering.splits,
-            "robot_type": ROBOT,
+            "robot_type": robot_name(self.meta.plan.robot, self.rig),
             "fps": self.fps,
             "features": features_of(self.layout, self.fps) | dict(features or {}),
         }
-        if self.rig is not None:
-            self.out.write_text(_RIG_FILE, rig_json(self.rig, self.fps * self.stride))
         self._write_json("meta/info.json", {"codebase_version": version, **known, **values, **shared})
 
     def _write_json(self, name: str, values: dict[str, Any]) -> None:
-        self.out.write_text(name, json.dumps(values, indent=4) + "\n")
+        self.out.write_text(self.folder + name, json.dumps(values, indent=4) + "\n")
 
 
 def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
@@ -201,7 +226,8 @@ def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
     return LeRobotExport(
         out=export.out,
         meta=export.dataset.meta,
-        layout=layout_of(options, plan.camera, export.dataset.rig),
+        layout=layout_of(plan.camera, export.dataset.rig),
+        extra=extra_layout_of(options, plan.camera, export.dataset.rig),
         rig=export.dataset.rig,
         stride=stride,
         fps=plan.task.control_hz // stride,
@@ -219,7 +245,7 @@ def _widened(options: Decimated) -> LeRobotOptions:
 def card_text(version: str, dataset: LeRobotExport) -> str:
     """Returns the text of the card below the title."""
     fps, stride, splits = dataset.fps, dataset.stride, dataset.numbering.splits
-    sensors = "" if dataset.rig is None else _HELD + rig_table(dataset.rig, fps * stride, _RIG_FILE)
+    sensors = "" if dataset.rig is None else _HELD + rig_table(dataset.rig, fps * stride, LeRobotBase.rig_file)
     hub = (
         f"\nOn the Hub the repository needs a tag equal to the version, or LeRobot will not load it: "
         f'`HfApi().create_tag(REPO, tag="{version}", repo_type="dataset")`.\n'
@@ -227,7 +253,7 @@ def card_text(version: str, dataset: LeRobotExport) -> str:
     return _TEXT.format(
         version=version,
         fps=fps,
-        decimated="" if stride == 1 else f", every {stride}th of the recorded ones",
+        decimated="" if stride == 1 else f", one of {stride} recorded frames",
         example=_EXAMPLES[version],
         images="".join(f"| `{image.key}` | {_about(image)} |\n" for image in dataset.layout.images),
         sensors=sensors,

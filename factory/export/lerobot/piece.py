@@ -19,12 +19,13 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.lerobot.features import LARGEST_CODE, DepthCode, data_schema
-from factory.export.lerobot.layout import STATE, ImageFeature, Layout, layout_of
+from factory.export.lerobot.layout import CAMERA_POSE, STATE, ImageFeature, Layout, extra_layout_of, layout_of
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
 from factory.export.options import LeRobotOptions, stride_of
 from factory.export.origin import COLUMN as ORIGIN
 from factory.export.origin import origin_of
-from factory.export.rig.reader import SensorReader
+from factory.export.rig.description import intrinsics_of, optical_poses
+from factory.export.rig.reader import SensorReader, shown_rig
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.png import encode_png
 from schemas.rig import CameraOutput, Lidar2d, Lidar3d
@@ -48,6 +49,24 @@ def rig_columns(layout: Layout, reader: SensorReader, kept: Sequence[int]) -> di
     }
 
 
+def camera_columns(
+    layout: Layout, episode: Episode, reader: SensorReader | None, kept: Sequence[int]
+) -> dict[str, NDArray[np.float32]]:
+    """Returns the values of the columns that describe cameras: poses (N, 7) at the measurements, matrices (N, 9)."""
+    cameras = {camera.name: camera for camera in shown_rig(episode).cameras}
+    values = {}
+    for name, column in layout.columns.items():
+        if column.camera is None:
+            continue
+        camera = cameras[column.camera]
+        if name.startswith(CAMERA_POSE):
+            seen = [t if reader is None else reader.latest_step(camera.name, t) for t in kept]
+            values[name] = optical_poses(episode.poses[seen], camera.mount).astype(np.float32)
+        elif (intrinsics := intrinsics_of(camera)) is not None:
+            values[name] = np.tile(np.array(intrinsics.matrix, np.float32), (len(kept), 1))
+    return values
+
+
 def _vectors(reader: SensorReader, name: str, kept: Sequence[int]) -> NDArray[np.float32]:
     """Returns (N, 6) angular velocity and specific force, or (N, 5) pose and twist of odometry."""
     motion = reader.motion[name]
@@ -64,7 +83,6 @@ def _scans(reader: SensorReader, lidar: Lidar2d | Lidar3d, kept: Sequence[int]) 
     return ranges[:, 0] if isinstance(lidar, Lidar2d) else ranges
 
 
-FRAMES_FILE = "frames.parquet"
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _NUMBERED_LATER = ("episode_index", "index", "task_index")
 _EVERY_PX = 4  # statistics use every fourth row and column, as LeRobot does for images of 640 x 640 pixels
@@ -82,27 +100,50 @@ class LeRobotFacts(EpisodeFacts):
 
 
 def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRobotFacts:
-    """Writes a video for each video feature, and `frames.parquet`."""
+    """Writes a video for each video feature, and the rows of the dataset and of the second dataset."""
     meta = episode.meta
     hz = meta.job.task.control_hz
     stride = stride_of(options.fps, hz)
-    layout = layout_of(options, meta.job.camera, episode.rig)
+    extra = extra_layout_of(options, meta.job.camera, episode.rig)
+    layouts = [layout_of(meta.job.camera, episode.rig), *([] if extra is None else [extra])]
     reader = SensorReader(episode) if episode.rig else None
     kept = kept_frames(len(episode), stride)
+    features = [image for layout in layouts for image in layout.images]
+    counts, pictures = _write_images(episode, reader, features, kept, hz // stride, folder)
+    columns = frame_columns(episode.actions, episode.poses, hz, stride)
+    origins = np.array([origin_of(episode).to_json(), *[""] * (len(kept) - 1)], dtype=object)
+    for layout in layouts:
+        values = {STATE: columns.state, ORIGIN: origins}
+        values |= {name: getattr(columns, name) for name in layout.columns if hasattr(columns, name)}
+        values |= camera_columns(layout, episode, reader, kept)
+        if reader is not None:
+            values |= rig_columns(layout, reader, kept)
+        pq.write_table(_table(values, pictures, layout), folder / layout.rows_file, compression="snappy")
+    return LeRobotFacts(frames=len(kept), images=counts, states_digest=episode.states_digest)
+
+
+def _write_images(
+    episode: Episode,
+    reader: SensorReader | None,
+    features: Sequence[ImageFeature],
+    kept: Sequence[int],
+    fps: int,
+    folder: Path,
+) -> tuple[dict[str, ImageCounts], dict[str, list[bytes]]]:
+    """Writes the videos; returns the histogram of each feature, and the PNG images of features that are not videos."""
     sampled = sampled_frames(len(kept))
-    tallies = {image.key: empty_tally(image) for image in layout.images}
-    pictures: dict[str, list[bytes]] = {image.key: [] for image in layout.pictures}
+    tallies = {image.key: empty_tally(image) for image in features}
+    pictures: dict[str, list[bytes]] = {image.key: [] for image in features if not image.is_video}
     with ExitStack() as stack:
         writers = {
             image.key: stack.enter_context(
-                VideoWriter(
-                    folder / image.file, _CODECS[image.output], fps=hz // stride, width=image.width, height=image.height
-                )
+                VideoWriter(folder / image.file, _CODECS[image.output], fps=fps, width=image.width, height=image.height)
             )
-            for image in layout.videos
+            for image in features
+            if image.is_video
         }
         for number, t in enumerate(kept):
-            for feature in layout.images:
+            for feature in features:
                 source = _FrameSource(episode, reader, feature, t)
                 if feature.is_video:
                     writers[feature.key].add(source.codes())
@@ -110,15 +151,7 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
                     pictures[feature.key].append(source.png())
                 if number in sampled:
                     tallies[feature.key].add(source.codes()[::_EVERY_PX, ::_EVERY_PX])
-    columns = frame_columns(episode.actions, episode.poses, hz, stride)
-    values = {STATE: columns.state}
-    values |= {name: getattr(columns, name) for name in layout.columns if hasattr(columns, name)}
-    if reader is not None:
-        values |= rig_columns(layout, reader, kept)
-    values[ORIGIN] = np.array([origin_of(episode).to_json(), *[""] * (len(kept) - 1)], dtype=object)
-    pq.write_table(_table(values, pictures, layout), folder / FRAMES_FILE, compression="snappy")
-    counts = {key: tally.result() for key, tally in tallies.items()}
-    return LeRobotFacts(frames=len(kept), images=counts, states_digest=episode.states_digest)
+    return {key: tally.result() for key, tally in tallies.items()}, pictures
 
 
 class _FrameSource:
@@ -152,7 +185,8 @@ class _FrameSource:
 def read_columns(folder: Path, numbers: dict[str, NDArray[np.int64]], layout: Layout) -> pa.Table:
     """Returns the rows of a piece with index columns, in the final column order."""
     schema = data_schema(layout)
-    table = pq.read_table(folder / FRAMES_FILE, columns=[name for name in schema.names if name not in _NUMBERED_LATER])
+    stored = [name for name in schema.names if name not in _NUMBERED_LATER]
+    table = pq.read_table(folder / layout.rows_file, columns=stored)
     for name in _NUMBERED_LATER:
         table = table.append_column(name, pa.array(numbers[name], pa.int64()))
     return table.select(schema.names).cast(schema)

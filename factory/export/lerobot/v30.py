@@ -25,7 +25,7 @@ from factory.export.lerobot.common import (
 from factory.export.lerobot.features import data_schema
 from factory.export.lerobot.layout import ImageFeature, Layout
 from factory.export.lerobot.numbering import ABOUT, STATES_DIGEST, Numbered, Numbering
-from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
+from factory.export.lerobot.piece import LeRobotFacts, read_columns
 from factory.export.lerobot.statistics import QUANTILES
 from factory.export.lerobot.subtasks import (
     COLUMN,
@@ -66,7 +66,7 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
     """Exporter of format `lerobot`: joins pieces into files of at most 100 MiB of rows and 200 MiB of video."""
 
     name = "lerobot"
-    version = 4
+    version = 5
     about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
     options = LeRobotOptions
 
@@ -77,17 +77,22 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
 
 def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimits) -> None:
     """Joins pieces into files within the limits and writes their description to `meta/`."""
-    dataset = describe_dataset(export)
+    for dataset in describe_dataset(export).with_extra():
+        _write_one(dataset, limits)
+
+
+def _write_one(dataset: LeRobotExport, limits: FileLimits) -> None:
     data = _write_data(dataset, limits)
     videos = {image.key: _write_videos(dataset, image, limits) for image in dataset.layout.videos}
     stats = DatasetStats(dataset.layout)
     _write_episodes(dataset, data, videos=videos, stats=stats, limits=limits)
     dataset.write_stats(stats.result(dataset.numbering))
-    with dataset.out.replacing("meta/tasks.parquet") as part:
+    with dataset.replacing("meta/tasks.parquet") as part:
         pq.write_table(tasks_table(dataset.numbering.tasks), part, compression="snappy")
-    dataset.write_card(
-        VERSION, {"frames": {"train": "data/*/*.parquet"}, "episodes": {"train": "meta/episodes/*/*.parquet"}}
-    )
+    if not dataset.folder:
+        dataset.write_card(
+            VERSION, {"frames": {"train": "data/*/*.parquet"}, "episodes": {"train": "meta/episodes/*/*.parquet"}}
+        )
     dataset.write_info(
         VERSION,
         dict.fromkeys(_language_types(dataset), FEATURE),
@@ -142,14 +147,14 @@ def _write_data(dataset: LeRobotExport, limits: FileLimits) -> FilePositions:
     for name, kind in _language_types(dataset).items():
         # the metadata for `datasets` does not describe the language columns; readers take the features from info.json
         schema = schema.append(pa.field(name, kind)).remove_metadata()
-    for number, group in enumerate(_grouped(dataset.numbering, FRAMES_FILE, limits.data_mib)):
+    for number, group in enumerate(_grouped(dataset.numbering, dataset.layout.rows_file, limits.data_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
         name = f"data/{_FILE.format(chunk, file)}.parquet"
-        if dataset.out.has(name):
+        if dataset.has(name):
             continue
         with (
-            dataset.out.replacing(name) as part,
+            dataset.replacing(name) as part,
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for numbered in group:
@@ -182,8 +187,8 @@ def _write_videos(dataset: LeRobotExport, image: ImageFeature, limits: FileLimit
         first = group[0].first
         places |= {numbered.episode_index: (chunk, file, (numbered.first - first) / dataset.fps) for numbered in group}
         name = f"videos/{image.key}/{_FILE.format(chunk, file)}.mp4"
-        if not dataset.out.has(name):
-            with dataset.out.replacing(name) as part:
+        if not dataset.has(name):
+            with dataset.replacing(name) as part:
                 join_videos((numbered.piece.folder / image.file for numbered in group), part, dataset.fps)
     return places
 
@@ -202,7 +207,7 @@ def _write_episodes(
         place = divmod(number, limits.chunk_files)
         some = numbering.episodes[begin : begin + limits.episodes]
         with (
-            dataset.out.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
+            dataset.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for first in range(0, len(some), _EPISODES_A_BATCH):

@@ -37,8 +37,8 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     """Exporter of format `mcap`. Memory use is one chunk and one frame."""
 
     name = "mcap"
-    about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
-    version = 3
+    about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless images"
+    version = 4
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     takes_rig = True
     options = McapOptions
@@ -79,7 +79,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
         meta, pieces, options, rig = export.dataset.meta, len(export.pieces), export.options, export.dataset.rig
         hz = meta.plan.task.control_hz
         text = ros2_card(SPACING_S, options.start_s, rig, hz) if options.ros2 else foxglove_card(rig, hz)
-        card = export_card(meta, pieces, text, tags=("mcap", "ros2" if options.ros2 else "foxglove"))
+        card = export_card(meta, rig, pieces, text, tags=("mcap", "ros2" if options.ros2 else "foxglove"))
         export.out.write_text(CARD_FILE, card)
 
 

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.export.mcap.sensor_frames import links_of, odometry_links
-from schemas.config import CameraConfig
-from schemas.encoding.image_sizes import FRAME_SIZE_PX
+from factory.export.rig.description import intrinsics_of, optical_poses
+from factory.export.rig.reader import shown_pinhole, shown_rig
+from schemas.rig import PinholeCamera
 from schemas.scene import CompiledScene, Target
 from schemas.support.geometry import yaw_of
 
 WORLD, BASE, OPTICAL = "world", "base_link", "front_optical"
-OPTICAL_FROM_BASE = (-0.5, 0.5, -0.5, 0.5)
-"""Quaternion (x, y, z, w) of the optical frame in base_link: z forward, x right, y down."""
+_IN_BASE = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
 _TARGET_COLOUR = {"r": 1.0, "g": 0.16, "b": 0.16, "a": 0.35}
 _TEXT_COLOUR = {"r": 1.0, "g": 1.0, "b": 1.0, "a": 1.0}
 _INFO = 2
@@ -93,12 +93,12 @@ def frame_messages(
         twist: (2,) measured v (m/s) and w (rad/s).
         with_images: whether to yield the images: RGB as PNG, depth in metres as 32FC1 (0 without a hit), ids as 16UC1.
     """
-    stamp, camera = _timestamp(stamp_ns), episode.meta.job.camera
+    stamp = _timestamp(stamp_ns)
     action, tokens = episode.actions[t], episode.tokens[t]
     body = pose_of(episode.poses[t].tolist())
     yield TopicMessage("/tf", {"transforms": [_transform(BASE, WORLD, body, stamp), *_mounts(episode, stamp)]})
     if episode.rig is None:
-        yield TopicMessage("/camera/calibration", {"timestamp": stamp, **calibration(camera)})
+        yield TopicMessage("/camera/calibration", {"timestamp": stamp, **calibration(shown_pinhole(episode))})
     v, w = (float(value) for value in twist)
     yield TopicMessage(
         "/odom",
@@ -144,21 +144,21 @@ def pose_of(row: Any) -> dict[str, dict[str, float]]:
     return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": qx, "y": qy, "z": qz, "w": qw}}
 
 
-def calibration(camera: CameraConfig) -> dict[str, Any]:
+def calibration(camera: PinholeCamera) -> dict[str, Any]:
     """Returns the pinhole model as foxglove.CameraCalibration, without a timestamp.
 
     In that message, as in ROS and OpenCV, the centre of the first pixel is at (0, 0). The coordinates of
     the image centre are therefore half the image size minus half a pixel.
     """
-    focal = FRAME_SIZE_PX / 2 / math.tan(math.radians(camera.fov_deg) / 2)
-    centre = FRAME_SIZE_PX / 2 - 0.5
+    intrinsics = intrinsics_of(camera)
+    assert intrinsics is not None, "a pinhole camera has intrinsics"
     return {
         "frame_id": OPTICAL,
-        "width": FRAME_SIZE_PX,
-        "height": FRAME_SIZE_PX,
-        "K": [focal, 0.0, centre, 0.0, focal, centre, 0.0, 0.0, 1.0],
+        "width": camera.width,
+        "height": camera.height,
+        "K": list(intrinsics.matrix),
         "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        "P": [focal, 0.0, centre, 0.0, 0.0, focal, centre, 0.0, 0.0, 0.0, 1.0, 0.0],
+        "P": list(intrinsics.projection),
     }
 
 
@@ -197,15 +197,11 @@ def stamped(stamp_ns: int, frame: str) -> dict[str, Any]:
 
 def _mounts(episode: Episode, stamp: dict[str, int]) -> Iterator[dict[str, Any]]:
     if episode.rig is None:
-        yield _camera_transform(episode.meta.job.camera, stamp)
+        optical = optical_poses(_IN_BASE, shown_pinhole(episode).mount)[0]
+        yield _transform(OPTICAL, BASE, pose_of(optical.tolist()), stamp)
         return
-    for link in (*links_of(episode.rig, BASE), *odometry_links(episode.rig, WORLD, episode.poses[0].tolist())):
+    for link in (*links_of(shown_rig(episode), BASE), *odometry_links(episode.rig, WORLD, episode.poses[0].tolist())):
         yield _transform(link.child, link.parent, pose_of(link.pose), stamp)
-
-
-def _camera_transform(camera: CameraConfig, stamp: dict[str, int]) -> dict[str, Any]:
-    qx, qy, qz, qw = OPTICAL_FROM_BASE
-    return _transform(OPTICAL, BASE, pose_of((camera.x_m, camera.y_m, camera.z_m, qw, qx, qy, qz)), stamp)
 
 
 def _raw_image(stamp: dict[str, int], encoding: str, image: NDArray[Any]) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def sensor_messages(reader: SensorReader, sensor: Sensor, t: int, stamp_ns: int)
         case Lidar3d():
             yield _cloud_message(sensor, reader, t, head)
         case _:
-            yield from _camera_messages(sensor, reader.arrays(sensor, t), head)
+            yield from _camera_messages(reader.shown[sensor.name], reader.arrays(sensor, t), head)
 
 
 def _camera_messages(camera: Camera, images: dict[str, Array], head: dict[str, Any]) -> Iterator[TopicMessage]:

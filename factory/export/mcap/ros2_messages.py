@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.export.mcap.messages import OPTICAL_FROM_BASE, TopicMessage, calibration, paths_of, pose_of
+from factory.export.mcap.messages import TopicMessage, calibration, paths_of, pose_of
 from factory.export.mcap.sensor_frames import links_of, odometry_links
-from schemas.config import CameraConfig
+from factory.export.rig.description import OPTICAL_QUATERNION, mount_row
+from factory.export.rig.reader import shown_pinhole, shown_rig
+from schemas.rig import PinholeCamera
 from schemas.scene import CompiledScene, Target
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
@@ -97,7 +99,7 @@ def frame_messages(
 
 
 def _image_messages(episode: Episode, t: int, header: dict[str, Any]) -> Iterator[TopicMessage]:
-    info = _camera_info(episode.meta.job.camera, header)
+    info = _camera_info(shown_pinhole(episode), header)
     png, depth = episode.stored(f"rgb_front/{t:06d}.png"), episode.depth(t)
     colour = {"header": header, "format": "rgb8; png compressed bgr8", "data": png}
     yield TopicMessage("/camera/rgb/image_raw/compressed", colour)
@@ -120,18 +122,16 @@ def _transform(parent: str, child: str, pose: dict[str, dict[str, float]], stamp
 
 
 def _static_transforms(episode: Episode, stamp_ns: int) -> Iterator[dict[str, Any]]:
-    camera, (qx, qy, qz, qw) = episode.meta.job.camera, OPTICAL_FROM_BASE
-    mount = (camera.x_m, camera.y_m, camera.z_m, 1.0, 0.0, 0.0, 0.0)
     yield _transform(MAP, ODOM, pose_of((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)), stamp_ns)
     if (rig := episode.rig) is not None:
-        for link in (*links_of(rig, BASE), *odometry_links(rig, ODOM, episode.poses[0].tolist())):
+        for link in (*links_of(shown_rig(episode), BASE), *odometry_links(rig, ODOM, episode.poses[0].tolist())):
             yield _transform(link.parent, link.child, pose_of(link.pose), stamp_ns)
         return
-    yield _transform(BASE, CAMERA, pose_of(mount), stamp_ns)
-    yield _transform(CAMERA, OPTICAL, pose_of((0.0, 0.0, 0.0, qw, qx, qy, qz)), stamp_ns)
+    yield _transform(BASE, CAMERA, pose_of(mount_row(shown_pinhole(episode).mount)), stamp_ns)
+    yield _transform(CAMERA, OPTICAL, pose_of((0.0, 0.0, 0.0, *OPTICAL_QUATERNION)), stamp_ns)
 
 
-def _camera_info(camera: CameraConfig, header: dict[str, Any]) -> dict[str, Any]:
+def _camera_info(camera: PinholeCamera, header: dict[str, Any]) -> dict[str, Any]:
     pinhole = calibration(camera)
     return {
         "header": header,

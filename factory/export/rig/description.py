@@ -1,6 +1,6 @@
-"""Describes a rig for the readers of an export: `rig.json`, the table of the card, camera matrices of OpenCV.
+"""Describes the cameras of an export for its readers: `rig.json`, the table of the card, matrices and poses of cameras.
 
-Pure functions.
+The recorded camera is described as a rig with this camera only. Pure functions.
 """
 
 from __future__ import annotations
@@ -8,8 +8,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from factory.export.source import to_json
+from schemas.config import CameraConfig
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.rig import (
     Camera,
     EquirectangularCamera,
@@ -25,10 +28,37 @@ from schemas.rig import (
 )
 from schemas.rig.sensors import MountedSensor
 from schemas.support.numpy_types import Floats
+from workers.appearance.cameras import recorded_camera
 from workers.geometry.camera import mount_rotation
 
 OPTICAL_QUATERNION = (0.5, -0.5, 0.5, -0.5)
 """Quaternion (w, x, y, z) of the optical frame (z forward, x right, y down) in the frame of its camera."""
+
+
+FRONT = "front"
+"""Name of the recorded camera in exports."""
+
+
+def recorded_rig(camera: CameraConfig) -> Rig:
+    """Returns the recorded camera as a rig with this camera only; its images have 640 x 640 pixels."""
+    return Rig(name="recorded", sensors=(recorded_camera(camera, FRAME_SIZE_PX).model_copy(update={"name": FRONT}),))
+
+
+def optical_poses(poses: Floats, mount: Mount) -> Floats:
+    """Returns the (T, 7) poses of a camera's optical frame (x right, y down, z forward) in the world.
+
+    Args:
+        poses: (T, 7) poses of base_link in the world: x, y, z metres, and a quaternion w, x, y, z.
+        mount: pose of the camera frame in base_link.
+
+    Returns:
+        x, y, z in metres, and a quaternion w, x, y, z with w at least 0.
+    """
+    base = Rotation.from_quat(poses[:, [4, 5, 6, 3]])
+    w, x, y, z = OPTICAL_QUATERNION
+    turns = base * Rotation.from_matrix(mount_rotation(mount)) * Rotation.from_quat((x, y, z, w))
+    eyes = poses[:, :3] + base.apply((mount.x_m, mount.y_m, mount.z_m))
+    return np.concatenate((eyes, turns.as_quat(canonical=True)[:, [3, 0, 1, 2]]), axis=1)
 
 
 class Intrinsics(NamedTuple):

@@ -12,12 +12,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from schemas.rig import Camera, Lidar2d, Lidar3d, Rig
+from factory.export.rig.description import recorded_rig
+from schemas.rig import Camera, Lidar2d, Lidar3d, PinholeCamera, Rig
+from workers.appearance.cameras import changed_camera
 from workers.sensors import CameraMeasurement, ImuMeasurements, LidarScan, OdometryMeasurements
 
 Array = NDArray[Any]
 Seen = CameraMeasurement | LidarScan
 Motion = ImuMeasurements | OdometryMeasurements
+
+
+def shown_rig(episode: Episode) -> Rig:
+    """Returns the rig of the exported images, or the recorded camera as a rig, as the appearance has changed them.
+
+    The appearance of an episode may shift, turn and zoom its cameras (docs/appearance.md), so these cameras and not
+    those of the plan have the intrinsics and poses of the images.
+    """
+    rig = episode.rig or recorded_rig(episode.meta.job.camera)
+    change = None if episode.appearance is None else episode.appearance.camera
+    changed = tuple(changed_camera(one, change) if isinstance(one, Camera) else one for one in rig.sensors)
+    return rig.model_copy(update={"sensors": changed})
+
+
+def shown_pinhole(episode: Episode) -> PinholeCamera:
+    """Returns the recorded camera of an episode that is exported without a rig, as the appearance has changed it."""
+    (camera,) = shown_rig(episode).cameras
+    assert isinstance(camera, PinholeCamera), "the recorded camera is a pinhole camera"
+    return camera
 
 
 class _Kept(NamedTuple):
@@ -41,6 +62,8 @@ class SensorReader:
         """Control rate, steps per second."""
         self.strides = {sensor.name: sensor.stride(self.hz) for sensor in self.rig.sensors}
         """Number of control steps between two measurements, by name of the sensor."""
+        self.shown: dict[str, Camera] = {camera.name: camera for camera in shown_rig(episode).cameras}
+        """Cameras as the appearance of the episode has changed them, by name."""
         self._episode = episode
         self._kept: dict[str, _Kept] = {}
 

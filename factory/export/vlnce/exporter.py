@@ -40,7 +40,7 @@ PIECE_FILE = "episode.json"
 _GZIP_LEVEL = 6
 _CARD = """
 - `<split>/<split>.json.gz`: `episodes` and `instruction_vocab`, in the form that Habitat's VLN datasets have;
-  `<split>/<split>_gt.json.gz`: the driven path of each episode (`locations`, every 1/60 s), for nDTW and SDTW.
+  `<split>/<split>_gt.json.gz`: the driven path of each episode (`locations`, every 1/{hz} s), for nDTW and SDTW.
 - Positions are in Habitat's world: x right, y up, z backward. A point (x, y, z) of our world (x forward, y left, z up)
   is (x, z, -y) there. `start_rotation` is a quaternion (x, y, z, w); an agent looks along its own -z.
 - `goals` has the target's centroid, projected to the floor, with the success radius; in a dataset with `task.success =
@@ -63,7 +63,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
-    version = 4
+    version = 5
     requires = ("trimesh",)
     assembles = True
     options = Options
@@ -93,7 +93,13 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
         columns = (export.dataset.column(name).take(positions).to_pylist() for name in ("scene", "scene_sha256"))
         for scene, sha256 in sorted(set(zip(*columns, strict=True))):
             _write_scene(export.out, export.dataset.root, scene, sha256)
-        card = export_card(export.dataset.meta, len(export.pieces), _CARD.format(length=length), tags=("vln-ce",))
+        card = export_card(
+            export.dataset.meta,
+            None,
+            len(export.pieces),
+            _CARD.format(length=length, hz=export.dataset.meta.plan.task.control_hz),
+            tags=("vln-ce",),
+        )
         export.out.write_text(CARD_FILE, card)
 
 

@@ -27,8 +27,12 @@ _FPS = int(os.environ["MINIVLA_FPS"]) if "MINIVLA_FPS" in os.environ else None
 class MinivlaNav(tfds.core.GeneratorBasedBuilder):
     """One RLDS episode for each archived episode, in the splits of the dataset."""
 
-    VERSION = tfds.core.Version("1.1.0")
-    RELEASE_NOTES = {"1.0.0": "Initial release.", "1.1.0": "The metadata has `origin`."}  # noqa: RUF012 - required by tfds
+    VERSION = tfds.core.Version("1.2.0")
+    RELEASE_NOTES = {  # noqa: RUF012 - required by tfds
+        "1.0.0": "Initial release.",
+        "1.1.0": "The metadata has `origin`.",
+        "1.2.0": "Steps have `camera_pose`, the metadata `camera_matrix` and `camera_in_base`.",
+    }
 
     def _info(self) -> tfds.core.DatasetInfo:
         side = _IMAGE_PX
@@ -47,10 +51,15 @@ class MinivlaNav(tfds.core.GeneratorBasedBuilder):
             "is_last": tfds.features.Scalar(dtype=np.bool_),
             "is_terminal": tfds.features.Scalar(dtype=np.bool_),
             "language_instruction": tfds.features.Text(),
+            "camera_pose": tfds.features.Tensor(
+                shape=(7,), dtype=np.float32, doc="x, y, z, qw, qx, qy, qz in the world"
+            ),
         }
         names = ("episode_id", "split", "scene", "target_category", "target_id", "template_id")
         names += ("states_digest", "origin")
         metadata = {name: tfds.features.Text() for name in names}
+        metadata["camera_matrix"] = tfds.features.Tensor(shape=(3, 3), dtype=np.float32, doc="of the exported images")
+        metadata["camera_in_base"] = tfds.features.Tensor(shape=(7,), dtype=np.float32, doc="x, y, z, qw, qx, qy, qz")
         features = {"steps": tfds.features.Dataset(steps), "episode_metadata": metadata}
         return self.dataset_info_from_configs(features=tfds.features.FeaturesDict(features))
 
@@ -64,4 +73,4 @@ class MinivlaNav(tfds.core.GeneratorBasedBuilder):
         for episode in dataset:
             with episode:
                 steps = list(rlds_steps(episode, _FPS, _IMAGE_PX))
-                yield episode.episode_id, {"steps": steps, "episode_metadata": rlds_metadata(episode)}
+                yield episode.episode_id, {"steps": steps, "episode_metadata": rlds_metadata(episode, _IMAGE_PX)}

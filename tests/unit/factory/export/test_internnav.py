@@ -21,10 +21,18 @@ from factory.export.internnav import (
     pixel_goal,
     setting_of,
 )
+from factory.export.rig.description import recorded_rig
 from schemas.config import CameraConfig
+from schemas.rig import PinholeCamera
 
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 CAMERA = CameraConfig(x_m=0.1, y_m=-0.2, z_m=0.5)
+
+
+def recorded(camera: CameraConfig) -> PinholeCamera:
+    (pinhole,) = recorded_rig(camera).cameras
+    assert isinstance(pinhole, PinholeCamera)
+    return pinhole
 
 
 def poses(*states: tuple[float, float, float]) -> np.ndarray:
@@ -45,14 +53,14 @@ def test_turns_across_the_end_of_the_circle_have_their_direction() -> None:
 
 
 def test_the_camera_is_at_its_place_on_the_robot_and_looks_along_its_axis() -> None:
-    (pose,) = camera_poses(poses((1.0, 2.0, 90.0)), CAMERA, OPTICAL)
+    (pose,) = camera_poses(poses((1.0, 2.0, 90.0)), recorded(CAMERA), OPTICAL)
     assert pose[:3, 3] == pytest.approx((1.2, 2.1, 0.5))  # x of base_link is y of the world
     assert pose[:3, 2] == pytest.approx((0.0, 1.0, 0.0), abs=1e-9)
     assert pose[:3, 1] == pytest.approx((0.0, 0.0, -1.0))
 
 
 def test_the_goal_is_the_farthest_visible_position_on_the_floor() -> None:
-    centred = CameraConfig(x_m=0.0, y_m=0.0, z_m=0.5)
+    centred = recorded(CameraConfig(x_m=0.0, y_m=0.0, z_m=0.5))
     (pose,) = camera_poses(poses((0, 0, 0)), centred, OPTICAL)
     track = np.array([(x, 0.0, 0.0) for x in (0.0, 1.0, 2.0)])
     focal, _, centre = intrinsic_of(centred)[0].tolist()

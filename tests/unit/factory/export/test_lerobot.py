@@ -20,7 +20,7 @@ from factory.export.base import ExportPiece, Finish
 from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.lerobot.columns import frame_columns
 from factory.export.lerobot.features import DepthCode
-from factory.export.lerobot.layout import DEPTH, IDS, RGB
+from factory.export.lerobot.layout import DEPTH, EXTRA_FOLDER, IDS, RGB
 from factory.export.lerobot.piece import LeRobotFacts
 from factory.export.lerobot.v21 import MODALITY
 from factory.export.lerobot.v30 import FileLimits, write_dataset
@@ -76,8 +76,13 @@ def column(table: pa.Table, name: str) -> np.ndarray[Any, Any]:
     return np.asarray(table[name].to_pylist())
 
 
-def test_info_equals_that_of_lerobots_writer(everything: Path) -> None:
-    ours, theirs = info_of(everything), dict(FROZEN["info"])
+PARTS = {"main": ".", "extra": EXTRA_FOLDER}
+"""Dataset in `FROZEN` -> its folder in an export with depth and ids."""
+
+
+@pytest.mark.parametrize(("part", "folder"), PARTS.items())
+def test_info_equals_that_of_lerobots_writer(everything: Path, part: str, folder: str) -> None:
+    ours, theirs = info_of(everything / folder), json.loads(json.dumps(FROZEN[part]["info"]))
     assert ours.keys() == theirs.keys()
     assert ours["features"].pop("origin") == {"dtype": "string", "shape": [1], "names": None}  # ours only
     assert list(ours["features"]) == list(theirs["features"])
@@ -91,23 +96,52 @@ def test_info_equals_that_of_lerobots_writer(everything: Path) -> None:
     assert {k: v for k, v in ours.items() if k not in counted} == {k: v for k, v in theirs.items() if k not in counted}
 
 
-def test_tables_equal_those_of_lerobots_writer(everything: Path) -> None:
-    assert types_of(everything / DATA) == FROZEN["data"] | {"origin": "string"}
-    described = json.loads(pq.read_schema(everything / DATA).metadata[b"huggingface"])
+def test_no_policy_takes_depth_ids_or_world_poses(everything: Path) -> None:
+    """A policy takes every image and video, and every column of `observation` or `action` (LeRobot 0.6.1)."""
+    features = info_of(everything)["features"]
+    taken = {
+        name
+        for name, feature in features.items()
+        if feature["dtype"] in ("image", "video") or name.startswith(("observation", "action"))
+    }
+    assert taken == {RGB, "observation.state", "action"}
+    assert features[RGB]["shape"][2] == 3
+    extra = info_of(everything / EXTRA_FOLDER)["features"]
+    assert {DEPTH, IDS} <= extra.keys()
+    assert not [name for name in extra if name.startswith(("observation", "action"))]
+
+
+@pytest.mark.parametrize(("part", "folder"), PARTS.items())
+def test_tables_equal_those_of_lerobots_writer(everything: Path, part: str, folder: str) -> None:
+    root, frozen = everything / folder, FROZEN[part]
+    assert types_of(root / DATA) == frozen["data"] | {"origin": "string"}
+    described = json.loads(pq.read_schema(root / DATA).metadata[b"huggingface"])
     assert described["info"]["features"].pop("origin") == {"dtype": "string", "_type": "Value"}
-    assert described == FROZEN["data_features"]
-    ours = types_of(everything / EPISODES)
-    assert {name: kind for name, kind in ours.items() if name in FROZEN["episodes"]} == FROZEN["episodes"]
-    assert list(ours)[: len(FROZEN["episodes"])] == list(FROZEN["episodes"])
+    assert described == frozen["data_features"]
+    ours = types_of(root / EPISODES)
+    assert {name: kind for name, kind in ours.items() if name in frozen["episodes"]} == frozen["episodes"]
+    assert list(ours)[: len(frozen["episodes"])] == list(frozen["episodes"])
     assert {"split", "episode_id", "goal_x_m", "geodesic_m"} <= ours.keys()
-    assert types_of(everything / "meta/tasks.parquet") == FROZEN["tasks"]
-    pandas = json.loads(pq.read_schema(everything / "meta/tasks.parquet").metadata[b"pandas"])
+    assert types_of(root / "meta/tasks.parquet") == frozen["tasks"]
+    pandas = json.loads(pq.read_schema(root / "meta/tasks.parquet").metadata[b"pandas"])
     for key in ("index_columns", "columns", "column_indexes"):
-        assert pandas[key] == FROZEN["tasks_pandas"][key]
-    stats = json.loads((everything / "meta/stats.json").read_text())
-    assert {feature: sorted(values) for feature, values in stats.items()} == FROZEN["stats"]
+        assert pandas[key] == frozen["tasks_pandas"][key]
+    stats = json.loads((root / "meta/stats.json").read_text())
+    assert {feature: sorted(values) for feature, values in stats.items()} == frozen["stats"]
+
+
+def test_the_files_are_those_of_lerobots_writer(everything: Path) -> None:
     files = {str(path.relative_to(everything)) for path in everything.rglob("*") if path.is_file()}
-    assert files == {*FROZEN["files"], "README.md", "export.json"}
+    extra = {f"{EXTRA_FOLDER}/{file}" for file in FROZEN["extra"]["files"]}
+    assert files == {*FROZEN["main"]["files"], *extra, "meta/rig.json", "README.md", "export.json"}
+
+
+def test_both_datasets_have_the_same_rows(everything: Path) -> None:
+    one, two = (pq.read_table(everything / folder / DATA) for folder in PARTS.values())
+    for name in ("timestamp", "frame_index", "episode_index", "index", "task_index", "origin", "camera_pose.front"):
+        assert one[name].to_pylist() == two[name].to_pylist()
+    tables = [pq.read_table(everything / folder / "meta/tasks.parquet") for folder in PARTS.values()]
+    assert tables[0].to_pylist() == tables[1].to_pylist()
 
 
 def test_rows_contain_the_recorded_values(everything: Path) -> None:
@@ -127,7 +161,8 @@ def test_rows_contain_the_recorded_values(everything: Path) -> None:
         assert np.allclose(column(part, "timestamp"), np.arange(row["length"]) / 60)
         said = {tasks[index]["task"] for index in column(part, "task_index")}
         assert said == {parts.meta.job.instruction} == set(row["tasks"])
-        for found, frame in zip(part[IDS].to_pylist(), parts.frames, strict=True):
+        shown = pq.read_table(everything / EXTRA_FOLDER / DATA).slice(row["dataset_from_index"], row["length"])
+        for found, frame in zip(shown[IDS].to_pylist(), parts.frames, strict=True):
             assert np.array_equal(np.asarray(Image.open(io.BytesIO(found["bytes"]))), frame[2])
 
 
@@ -141,8 +176,9 @@ def test_splits_are_ranges_of_episodes(everything: Path) -> None:
 
 @pytest.mark.parametrize(("key", "pixels"), [(RGB, "rgb24"), (DEPTH, "gray12le")])
 def test_videos_show_every_frame_at_its_time(everything: Path, key: str, pixels: str) -> None:
-    episodes = pq.read_table(everything / EPISODES).to_pylist()
-    frames = list(read_video(everything / f"videos/{key}/chunk-000/file-000.mp4", pixels))
+    root = everything / EXTRA_FOLDER if key == DEPTH else everything
+    episodes = pq.read_table(root / EPISODES).to_pylist()
+    frames = list(read_video(root / f"videos/{key}/chunk-000/file-000.mp4", pixels))
     assert len(frames) == sum(STEPS)
     assert [time for time, _, _ in frames] == pytest.approx([number / 60 for number in range(len(frames))])
     code = DepthCode(FAR_M)
@@ -162,7 +198,7 @@ def test_videos_show_every_frame_at_its_time(everything: Path, key: str, pixels:
 def test_slower_export_keeps_every_third_frame_and_the_mean_of_its_commands(slow: Path) -> None:
     rows, episodes = pq.read_table(slow / DATA), pq.read_table(slow / EPISODES).to_pylist()
     assert info_of(slow)["fps"] == 20
-    assert not {DEPTH, IDS} & info_of(slow)["features"].keys()
+    assert not (slow / EXTRA_FOLDER).exists()
     frames = list(read_video(slow / f"videos/{RGB}/chunk-000/file-000.mp4"))
     assert len(frames) == rows.num_rows == sum(-(-steps // 3) for steps in STEPS)
     for row in episodes:
@@ -199,9 +235,10 @@ def test_statistics_are_those_of_the_values(everything: Path) -> None:
     assert np.ravel(whole[RGB]["std"]) == pytest.approx(seen.std(axis=(0, 1, 2)), abs=1e-6)
     assert np.shape(whole[RGB]["q99"]) == (3, 1, 1)
     assert whole[RGB]["count"] == [sum(STEPS)]
-    assert np.ravel(whole[DEPTH]["min"]) == [0.0]
-    assert np.ravel(whole[DEPTH]["max"]) == pytest.approx([3.0], abs=0.002)
-    assert np.ravel(whole[IDS]["max"]) == [7.0]
+    extra = json.loads((everything / EXTRA_FOLDER / "meta/stats.json").read_text())
+    assert np.ravel(extra[DEPTH]["min"]) == [0.0]
+    assert np.ravel(extra[DEPTH]["max"]) == pytest.approx([3.0], abs=0.002)
+    assert np.ravel(extra[IDS]["max"]) == [7.0]
 
 
 def test_version_2_1_has_one_file_for_each_episode(older: Path) -> None:
@@ -242,7 +279,7 @@ def test_version_2_1_uses_the_list_type_of_its_readers(older: Path) -> None:
     (path, *_) = sorted(older.glob("data/*/*.parquet"))
     described = json.loads(pq.read_schema(path).metadata[b"huggingface"])["info"]["features"]
     lists = {name for name, feature in described.items() if "length" in feature}
-    assert lists == {"observation.state", "action", "tokens", "pose"}
+    assert lists == {"observation.state", "action", "tokens", "pose", "camera_pose.front", "camera_matrix.front"}
     assert {described[name]["_type"] for name in lists} == {"Sequence"}
 
 

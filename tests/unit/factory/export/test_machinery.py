@@ -17,12 +17,15 @@ from click.testing import CliRunner
 from factory.cli.export import command
 from factory.dataset.reader import Dataset
 from factory.export.execution.export_run import ExportOrder, run_export
+from factory.export.execution.report_text import print_omitted
 from factory.export.execution.selection import parse_episodes, select
 from factory.export.options import PaperOptions
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.registry import EXPORTERS, find_exporter
+from factory.export.source import open_source
 from factory.support.task_pool import run_tasks
 from schemas.errors import InvalidPlan, UsageError, WorldError
+from schemas.rig.rig_file import load_rig
 from tests.builders.dataset import make_dataset
 
 
@@ -143,6 +146,24 @@ def test_damaged_manifest_is_named(varied: Path, tmp_path: Path) -> None:
         run_export(order)
 
 
+def test_an_export_of_an_earlier_version_is_still_the_same_export(varied: Path, tmp_path: Path) -> None:
+    """Version 1 of `export.json` has the digest of the rows as `dataset_digest`, which nothing else printed."""
+    order = ExportOrder(varied, tmp_path / "out", "paper", PaperOptions(), episodes=("ep_000001",))
+    first = run_export(order)
+    manifest = json.loads((tmp_path / "out/export.json").read_text())
+    source = manifest["source"]
+    assert (source["dataset_digest"], source["record"]) == (Dataset(varied).digest, "frames")
+    source["dataset_digest"] = source.pop("rows_digest")
+    del source["frames_run"], source["record"]
+    (tmp_path / "out/export.json").write_text(json.dumps({**manifest, "manifest": 1}))
+    again = run_export(order)
+    assert (again.resumed, again.complete, again.dataset_digest) == (1, True, first.dataset_digest)
+    source["dataset_digest"] = "0" * 64
+    (tmp_path / "out/export.json").write_text(json.dumps({**manifest, "manifest": 1}))
+    with pytest.raises(WorldError, match=r"contains another export: dataset test-\w+ 0{12}, requested test-"):
+        run_export(order)
+
+
 def test_swapped_episode_is_noticed(varied: Path, tmp_path: Path) -> None:
     root = tmp_path / "data"
     shutil.copytree(varied, root)
@@ -246,3 +267,36 @@ def test_the_findings_of_an_error_in_a_process_reach_the_caller():
     with pytest.raises(InvalidPlan, match="plan 7 is impossible:\n  - scenes") as caught:
         list(run_tasks(refuse, [7], 1, threading.Event()))
     assert caught.value.findings == ("scenes[0]: no chair",)
+
+
+def test_episodes_that_the_splits_leave_out_are_reported(
+    varied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ("ep_000001", "ep_000002", "ep_000003")
+    report = run_export(
+        ExportOrder(varied, tmp_path / "out", "paper", PaperOptions(), splits=("train_id",), episodes=asked)
+    )
+    assert (report.episodes, report.unselected) == (1, ("ep_000001", "ep_000003"))
+    print_omitted(report)
+    assert "--split does not select their splits: ep_000001, ep_000003; omit --split" in capsys.readouterr().err
+    whole = run_export(ExportOrder(varied, tmp_path / "whole", "paper", PaperOptions(), episodes=asked))
+    assert (whole.episodes, whole.unselected) == (3, ())
+
+
+def test_a_rig_of_the_plan_that_is_not_exported_is_named_and_its_name_selects_it(
+    varied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "data"
+    shutil.copytree(varied, root)
+    described = json.loads((root / "dataset_meta.json").read_text())
+    rig = load_rig("turtlebot4").model_copy(update={"name": "own-rig"})
+    described["plan"]["rig"] = rig.model_dump(mode="json")
+    (root / "dataset_meta.json").write_text(json.dumps(described))
+    report = run_export(ExportOrder(root, tmp_path / "out", "paper", PaperOptions(), episodes=("ep_000001",)))
+    assert report.rig_left_out == "own-rig"
+    print_omitted(report)
+    assert "to export the sensors of the dataset's rig, add --rig own-rig" in capsys.readouterr().err
+    assert open_source(root).rig is None
+    assert open_source(root, "own-rig").rig == rig
+    with pytest.raises(UsageError, match="no built-in rig"):
+        open_source(root, "other-rig")

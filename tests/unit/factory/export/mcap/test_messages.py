@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factory.export.mcap.messages import OPTICAL_FROM_BASE, calibration, measured_twists, stamp_of
+from factory.export.mcap.messages import calibration, measured_twists, stamp_of
+from factory.export.rig.description import OPTICAL_QUATERNION, recorded_rig
 from schemas.config import CameraConfig
 from workers.geometry.camera import intrinsics, optical_pose
 from workers.geometry.pose import Pose
@@ -43,12 +44,14 @@ def test_times_are_whole_nanoseconds_that_never_drift():
 def test_the_optical_frame_is_that_of_the_renderer():
     camera = CameraConfig()
     optical = optical_pose(Pose(0, 0, 0, 1, 0, 0, 0), camera)
-    np.testing.assert_allclose(Rotation.from_quat(OPTICAL_FROM_BASE).as_matrix(), optical.rotation, atol=1e-12)
+    np.testing.assert_allclose(
+        Rotation.from_quat(OPTICAL_QUATERNION, scalar_first=True).as_matrix(), optical.rotation, atol=1e-12
+    )
 
 
 def test_the_calibration_is_that_of_the_renderer_with_pixel_centres_on_whole_numbers():
     camera = CameraConfig(fov_deg=70.0)
     expected = intrinsics(camera, 640) - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    said = calibration(camera)
+    said = calibration(recorded_rig(camera).cameras[0])
     np.testing.assert_allclose(np.reshape(said["K"], (3, 3)), expected)
     np.testing.assert_allclose(np.reshape(said["P"], (3, 4))[:, :3], expected)
