@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+import structlog
+
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import add_files
 from coordinator.expansion.draw import expand_layout
 from coordinator.ledger.builds import number_of_layout, open_builds
-from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.ledger.opening import ledger_url_of, note_version, open_run
 from coordinator.ledger.repair import adopt_package
 from coordinator.ledger.run_ledger import RunLedger
 from coordinator.meters import Meters
@@ -25,6 +27,8 @@ from coordinator.tables.checkpoint import is_checkpoint_due
 from coordinator.transfer.contract import BundleValidator
 from coordinator.validation.validator import Validator
 from schemas.terms import family_of
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,19 @@ def _adopt_layouts(ledger: RunLedger, terms: Terms, now: datetime) -> None:
                 adopt_package(connection, build, sha256=entry.sha256, size=entry.size, planned=planned, now=now)
 
 
+def _note_version(ledger: RunLedger, version: str) -> None:
+    with ledger.engine.begin() as connection:
+        former = note_version(connection, version)
+    if former:
+        log.warning(
+            "version_changed",
+            run_by=former,
+            now=version,
+            remedy="episodes of two versions may differ: if the digest of the dataset matters, stop, and continue with "
+            "the former version",
+        )
+
+
 def _reconcile(
     archive: Archive, ledger: RunLedger, terms: Terms, checker: BundleValidator, options: CoordinatorOptions
 ) -> bool:
@@ -112,6 +129,7 @@ def _reconcile(
         planned=planned,
         shard=options.shard,
     )
+    _note_version(ledger, terms.version)
     for name, entry in terms.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256, entry.textures)
         if entry.textures:

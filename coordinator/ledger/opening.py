@@ -36,7 +36,7 @@ from coordinator.ledger.tables import (
     jobs,
 )
 from coordinator.ledger.tallies import install_tallies
-from schemas.base import Sha256
+from schemas.base import Line, Sha256
 from schemas.dataset.run_shard import RunShard, parse_shard
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
@@ -47,7 +47,10 @@ _INSERT_ROWS = 5000
 _MOST_DIFFERENCES, _VALUE_CHARS = 12, 60
 _DIGITS = re.compile("[0-9]{1,9}")
 _SCENES = TypeAdapter(dict[str, Sha256])
-_SANDBOX, _SHARD, _OPENED = "sandbox", "shard", "opened_at"
+_TEXTS = TypeAdapter(tuple[Line, ...])
+_SANDBOX, _SHARD, _OPENED, _VERSIONS = "sandbox", "shard", "opened_at", "versions"
+_MOST_VERSIONS = 100
+"""Largest number of recorded versions; the newest are kept."""
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
 _BUILDING = select(jobs.c.scene).where(jobs.c.tier == BUILD)
 _IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction")
@@ -237,6 +240,33 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
         episodes=int(facts[PLANNED_EPISODES]) if PLANNED_EPISODES in facts else None,
         opened_at=datetime.fromisoformat(facts.get(_OPENED, facts["created_at"])),
     )
+
+
+def note_version(connection: Connection, version: str) -> str:
+    """Records the version that continues an unfinished run; returns the last recorded one if it differs, else empty.
+
+    A run without open jobs produces no more episodes, so nothing is recorded.
+    """
+    if not _has_open_jobs(connection):
+        return ""
+    versions = recorded_versions(connection)
+    if versions[-1:] == (version,):
+        return ""
+    write_info(connection, {_VERSIONS: json.dumps([*versions, version][-_MOST_VERSIONS:])})
+    return versions[-1] if versions else ""
+
+
+def recorded_versions(connection: Connection) -> tuple[str, ...]:
+    """Returns the versions of minivla-factory that have run the coordinator, oldest first; empty in old ledgers.
+
+    Raises:
+        WorldError: the record is damaged.
+    """
+    text = connection.execute(select(info.c.value).where(info.c.key == _VERSIONS)).scalar()
+    try:
+        return () if text is None else _TEXTS.validate_json(text)
+    except ValueError as error:
+        raise WorldError(f"the ledger is damaged: its record of versions {text[:80]!r} cannot be read") from error
 
 
 def note_sandbox(connection: Connection, layers: Sequence[str]) -> None:

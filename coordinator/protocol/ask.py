@@ -20,6 +20,7 @@ from schemas.protocol.keys import Verb, any_hello_key
 from schemas.protocol.messages import Ack, Ping, Refusal
 from schemas.protocol.reachability import why_unreachable
 from schemas.protocol.status import Progress
+from schemas.support.product import product_version
 
 OPERATOR = "operator"
 """Default name of a requester."""
@@ -129,5 +130,8 @@ def read_reply(payload: bytes, answer: type[R], who: str) -> R:
         try:
             refusal = Refusal.model_validate_json(payload)
         except ValidationError:
-            raise WorldError(f"{who} uses another version of the protocol: {error}") from error
+            raise WorldError(
+                f"{who} sent a reply that minivla-factory {product_version()} cannot read, so it runs another version: "
+                f"use the version that `factory --version` prints on its host ({error.error_count()} differences)"
+            ) from error
         raise WorldError(f"{who} refused: {refusal.error}") from error

@@ -82,7 +82,8 @@ def draw_progress(progress: Progress) -> Group:
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
     hosts = map(_describe_host, progress.hosts)
     sandbox = _describe_sandbox(progress.sandbox)
-    top = (Text(head, style="bold"), *paused, *layouts, *away, *packed)
+    mixed = [Text(f"made by {' and then '.join(progress.versions)}", style="yellow")] if progress.versions[1:] else []
+    top = (Text(head, style="bold"), *paused, *mixed, *layouts, *away, *packed)
     return Group(*top, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
 
 

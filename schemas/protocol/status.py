@@ -90,6 +90,8 @@ class Progress(Model):
     """Whether no job can change its state without a `retry`."""
     paused: bool = False
     """Whether no job is leased until an operator resumes the run."""
+    versions: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
+    """Versions of minivla-factory that have run the coordinator, oldest first; empty in a ledger that records none."""
     sandbox: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
     """Sandbox mechanisms of the coordinator's validation processes, e.g. `seccomp`; empty before the first bundle."""
 

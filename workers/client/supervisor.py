@@ -14,7 +14,8 @@ from enum import Enum
 import structlog
 
 from schemas.errors import WorldError
-from schemas.protocol.messages import HelloReply, Refusal, RunKind
+from schemas.protocol.messages import PROTOCOL, HelloReply, Refusal, RunKind
+from schemas.support.product import product_version
 from workers.client.heartbeat import Heartbeat, make_hello
 from workers.client.host import Backoff, Host, Phase, make_sid, valid_host_name
 from workers.client.link import Link
@@ -188,6 +189,11 @@ def _find_run(
             return None
         if time.monotonic() - started > settings.wait_s:
             where = ", ".join(settings.connect)
+            if link.is_foreign:
+                raise WorldError(
+                    f"the coordinator at {where} sent a reply that {_self()} cannot read, so it runs another version: "
+                    "install the version that `factory --version` prints on its host"
+                )
             refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
             problem = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
@@ -196,6 +202,10 @@ def _find_run(
             )
         stop.wait(pause.fail())
     return None
+
+
+def _self() -> str:
+    return f"minivla-factory {product_version()} (protocol {PROTOCOL})"
 
 
 def _choose(
@@ -212,5 +222,6 @@ def _choose(
         raise WorldError(f"{len(terms)} runs answer ({runs}): give --connect endpoints of one run only")
     refusals = [reply.error for reply in replies if isinstance(reply, Refusal)]
     if not terms and refusals:
-        raise WorldError(f"the coordinator refuses this worker: {refusals[0]}")
+        mine = "" if product_version() in refusals[0] else f"; this worker runs {_self()}"
+        raise WorldError(f"the coordinator refuses this worker: {refusals[0]}{mine}")
     return terms[0] if terms else None

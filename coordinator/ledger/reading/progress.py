@@ -14,7 +14,7 @@ from coordinator.ledger.administration import is_paused
 from coordinator.ledger.archived import count_by_gateway
 from coordinator.ledger.claims import HELD_STATES, has_open_jobs
 from coordinator.ledger.hosts import troubled
-from coordinator.ledger.opening import read_info
+from coordinator.ledger.opening import read_info, recorded_versions
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import episodes, jobs, workers
@@ -72,6 +72,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         finished=not has_open_jobs(connection),
         paused=is_paused(connection),
         sandbox=facts.sandbox,
+        versions=recorded_versions(connection),
     )
 
 
