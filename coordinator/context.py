@@ -15,7 +15,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import add_files
 from coordinator.expansion.draw import expand_layout
 from coordinator.ledger.builds import number_of_layout, open_builds
-from coordinator.ledger.opening import ledger_url_of, note_version, open_run
+from coordinator.ledger.opening import ledger_url_of, note_opened, note_version, open_run
 from coordinator.ledger.repair import adopt_package
 from coordinator.ledger.run_ledger import RunLedger
 from coordinator.meters import Meters
@@ -138,6 +138,9 @@ def _reconcile(
     archive.sweep_textures(frozenset().union(*terms.textures.values()))
     _adopt_layouts(ledger, terms, options.clock())
     reconciled = reconcile(archive, ledger.engine, terms=terms, checker=checker, now=options.clock())
+    if reconciled.adopted:
+        with ledger.engine.begin() as connection:
+            note_opened(connection, options.clock())  # the rate does not count adopted episodes
     ledger.start_writer()
     with ledger.reading() as connection:
         is_owed = is_checkpoint_due(archive, connection)

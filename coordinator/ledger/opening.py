@@ -125,8 +125,8 @@ def open_run(
             _check_is_ours(recorded, plan, catalog, {**recorded.scenes, **recorded.layouts})
             require_shard(recorded.shard, shard)
             install_tallies(connection)
-            opened = {_OPENED: now.isoformat()} if _has_open_jobs(connection) else {}
-            write_info(connection, {"lease_ttl_s": str(lease_ttl_s), **opened})
+            write_info(connection, {"lease_ttl_s": str(lease_ttl_s)})
+            note_opened(connection, now)
             return False
         unbuilt = unbuilt_layouts(plan, catalog) if planned is None else []
         planned = expand_each(plan, catalog) if planned is None else planned
@@ -254,6 +254,12 @@ def note_version(connection: Connection, version: str) -> str:
         return ""
     write_info(connection, {_VERSIONS: json.dumps([*versions, version][-_MOST_VERSIONS:])})
     return versions[-1] if versions else ""
+
+
+def note_opened(connection: Connection, now: datetime) -> None:
+    """Records when an unfinished run was opened; the rate counts the episodes that were archived after this time."""
+    if _has_open_jobs(connection):
+        write_info(connection, {_OPENED: now.isoformat()})
 
 
 def recorded_versions(connection: Connection) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from coordinator.archive.staging import is_held
 from coordinator.ledger.database.engine import has_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
-from coordinator.ledger.reading.progress import read_progress
+from coordinator.ledger.reading.progress import read_progress, without_coordinator
 from coordinator.ledger.reading.reader import Connection, open_ledger
 from factory.dataset.site import Site
 from schemas.dataset.meta import read_dataset_meta
@@ -163,7 +163,4 @@ def progress_in(connection: Connection, site: Site, url: str | None = None) -> P
     shards = len(shard_places(site.place))
     progress = read_progress(connection, datetime.now(UTC)).model_copy(update={"shards": shards})
     has_coordinator = is_held(site.state_dir) if url is None else has_writer(connection)
-    if has_coordinator is not False:
-        return progress
-    gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)
-    return progress.model_copy(update={"workers": gone})
+    return without_coordinator(connection, progress) if has_coordinator is False else progress
