@@ -15,7 +15,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import add_files
 from coordinator.expansion.draw import expand_layout
 from coordinator.ledger.builds import number_of_layout, open_builds
-from coordinator.ledger.opening import ledger_url_of, note_opened, note_version, open_run
+from coordinator.ledger.opening import ledger_url_of, note_opened, note_version, open_run, record_ledger
 from coordinator.ledger.repair import adopt_package
 from coordinator.ledger.run_ledger import RunLedger
 from coordinator.meters import Meters
@@ -76,7 +76,8 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
     stack.callback(checker.close)
     archive = stack.enter_context(open_archive(root, options.store, take_over=options.take_over))
     replace_unusable_ledger(archive, url, terms.catalog)
-    ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock))
+    ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock, options.settings.ledger_outage_s))
+    record_ledger(root, url)
     are_tables_owed = _reconcile(archive, ledger, terms=terms, checker=checker, options=options)
     return RunContext(
         terms,
