@@ -202,6 +202,7 @@ class Coordinator(Closing):
             evaluation=options.evaluation,
             is_pulled=lambda index: self._pullers.has(index),
             find_states=options.find_states,
+            role_of=(lambda _host: None) if options.guard is None else options.guard.role_of,
             workers_validate=options.settings.spot_checks is not None and options.evaluation is None,
         )
 

@@ -29,7 +29,7 @@ from schemas.exchangeable import candidates_of
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.protocol.administration import AdminRequest
-from schemas.protocol.identity import is_host_name
+from schemas.protocol.identity import Role, is_host_name
 from schemas.protocol.keys import Verb, sid_belongs_to
 from schemas.protocol.messages import (
     MAX_MESSAGE_BYTES,
@@ -46,6 +46,7 @@ from schemas.protocol.messages import (
     HelloReply,
     HostMemory,
     Ping,
+    Pong,
     Refusal,
     RunKind,
 )
@@ -109,6 +110,8 @@ class Terms:
     """Memory that each host reported in its last heartbeat, by the name of the host."""
     textures: dict[str, frozenset[str]] = field(default_factory=dict)
     """SHA-256 of the stored textures by family."""
+    role_of: Callable[[str], Role | None] = lambda _host: None
+    """Function that returns the role of a host in the admission list; `None` without TLS."""
     workers_validate: bool = False
     """Whether workers validate their bundles before they announce them."""
 
@@ -301,7 +304,7 @@ def _admin(connection: Connection, request: AdminRequest, host: str, terms: Term
 
 
 def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
-    return ProtocolAnswer(Ack(accepted=True))
+    return ProtocolAnswer(Pong(role=terms.role_of(host)))
 
 
 def _bundle_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> IncomingBundle:

@@ -3,7 +3,8 @@
 #   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
 #
 # A task that reaches its time limit returns its jobs and queues itself again; Slurm queues preempted tasks again, and
-# `scancel` ends a task. The run is finished when a worker exits without a signal, and then the task ends without requeuing.
+# `scancel` ends a task. A worker exits with 0 when the run is finished, and the task then ends without requeuing; a
+# stopped worker exits with 130.
 # `factory submit slurm` writes scripts that also start the coordinator, or that run shards without a coordinator.
 #SBATCH --job-name=minivla
 #SBATCH --ntasks=1
@@ -64,4 +65,4 @@ run_task() {
     exit "${status}"
 }
 
-run_task 0 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600
+run_task 130 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600

@@ -146,7 +146,7 @@ def workers_script(job: SlurmJob) -> str:
     options = ("--connect", f"@{job.dataset}", "--tls", job.run / "pki" / "worker")
     more = ("--cores", job.cpus, "--connect-timeout", 3600, "--verbose")
     spool = '--spool "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID}"'
-    command = f"run_task 0 {_command(job, 'worker', *options, *more)} {spool}"
+    command = f"run_task 130 {_command(job, 'worker', *options, *more)} {spool}"
     return _script(job, "workers", command, array=job.tasks, cpus=job.cpus)
 
 

@@ -13,7 +13,7 @@ from pydantic import FailFast, Field
 
 from schemas.base import Bytes, Count, Line, Model, Name, NonNegative, Ordinal, Positive, RowId, Sha256, Text
 from schemas.job import Job
-from schemas.protocol.identity import HOST_PATTERN
+from schemas.protocol.identity import HOST_PATTERN, Role
 from schemas.terms import FailReason
 
 KEY_LAYOUT = 1
@@ -275,14 +275,21 @@ class Fail(Model):
 
 
 class Ping(Model):
-    """Check that a coordinator answers; the reply is an `Ack` without information about the run."""
+    """Check that a coordinator answers; the reply is a `Pong` without information about the run."""
+
+
+class Pong(Model):
+    """Reply to `ping`."""
+
+    role: Role | None = None
+    """Role of the sender in the admission list of the coordinator; null without TLS."""
 
 
 class Ack(Model):
-    """Reply to `done`, `fail` and `ping`."""
+    """Reply to `done` and `fail`."""
 
     accepted: bool
-    """Whether the lease was still valid; always true for `ping`."""
+    """Whether the lease was still valid."""
 
 
 class Refusal(Model):

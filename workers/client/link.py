@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from schemas.base import Model
 from schemas.errors import RunFinished, WorldError
 from schemas.protocol.address_file import find_endpoints
-from schemas.protocol.identity import TlsFiles
+from schemas.protocol.identity import Role, TlsFiles
 from schemas.protocol.keys import (
     RANGE_FIELDS,
     BundleRange,
@@ -34,7 +34,7 @@ from schemas.protocol.keys import (
     scene_selector,
     verb_key,
 )
-from schemas.protocol.messages import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
+from schemas.protocol.messages import MAX_MESSAGE_BYTES, Hello, HelloReply, Ping, Pong, Refusal
 from schemas.protocol.reachability import why_unreachable
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
@@ -131,6 +131,14 @@ class Link(Closing):
         ]
         self.is_foreign = None in replies
         return tuple(reply for reply in replies if reply is not None)
+
+    def ask_role(self) -> Role | None:
+        """Returns the role of this host in the admission list of a coordinator; `None` if none answers."""
+        for payload in self._get(any_hello_key(self._host, Verb.PING), Ping().model_dump_json(), _ASK_TIMEOUT_S):
+            reply = _parse(payload, Pong)
+            if isinstance(reply, Pong):
+                return reply.role
+        return None
 
     def join(self, run: str) -> None:
         """Selects the run that all further requests refer to."""

@@ -235,8 +235,8 @@ def shown_url(url: str) -> str:
 def public_url(url: str) -> str:
     """Returns a URL without its password and its parameters, which can contain secrets."""
     full = make_url(url)
-    parts = {"username": full.username, "host": full.host, "port": full.port, "database": full.database}
-    return URL.create(full.drivername, **parts).render_as_string(hide_password=False)
+    place = URL.create(full.drivername, full.username, host=full.host, port=full.port, database=full.database)
+    return place.render_as_string(hide_password=False)
 
 
 def remedy_for(url: str) -> str:

@@ -64,7 +64,7 @@ def test_the_options_of_the_site_are_part_of_every_script(job):
 @pytest.mark.parametrize(("number", "is_requeued"), [(signal.SIGUSR1, True), (signal.SIGTERM, False)])
 def test_a_worker_task_keeps_its_spool_only_for_a_requeue(job, tmp_path, number, is_requeued):
     tool(tmp_path, "scontrol", f'echo "$@" > "{tmp_path}/told"')
-    body = 'mkdir -p "${@: -1}"; trap "exit 0" TERM; echo up; while :; do sleep 0.05; done'
+    body = 'mkdir -p "${@: -1}"; trap "exit 130" TERM; echo up; while :; do sleep 0.05; done'
     stub = tool(tmp_path, "waiting", body)
     _, workers = write_scripts(replace(job, factory=(str(stub),)), "workers")
     command = ["bash", workers]
@@ -72,7 +72,7 @@ def test_a_worker_task_keeps_its_spool_only_for_a_requeue(job, tmp_path, number,
         assert task.stdout is not None
         assert task.stdout.readline() == "up\n"
         task.send_signal(number)
-        assert task.wait(60) == 0
+        assert task.wait(60) == (0 if is_requeued else 130)
     (spool,) = [*(tmp_path / "local").glob("*/spool-2")] or [None]
     assert (spool is not None) == is_requeued
     assert (tmp_path / "told").exists() == is_requeued
