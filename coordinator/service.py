@@ -102,7 +102,7 @@ class Coordinator(Closing):
             """Health and metrics of the coordinator."""
             self.reachable = usable_endpoints(self.endpoints, options.hosts or (socket.gethostname(),))
             """Endpoints with the names of this host instead of wildcard addresses."""
-            write_address(root, plan.run, self.reachable)
+            write_address(root, plan.run, self.reachable, self.endpoints)
             stack.callback(remove_address, root)
             self._stack = stack.pop_all()
         log.info("coordinator_started", run=plan.run, endpoints=self.endpoints, directory=str(options.store or root))

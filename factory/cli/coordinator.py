@@ -222,8 +222,19 @@ def _print_end(site: Site, progress: Progress) -> int:
 
 def _print_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guard | None) -> None:
     """Prints where the coordinator listens, and the command that starts a worker."""
+    from factory.support.listen import split_resolvable
+    from schemas.protocol.address_file import loopback_endpoints
+
     where = "on loopback only" if guard is None else f"for the admitted hosts: {len(guard.admitted())}"
     click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
     tls = "" if guard is None else " --tls DIR"
-    for endpoint in coordinator.reachable:
+    usable, unknown = split_resolvable(coordinator.reachable)
+    for endpoint in usable or loopback_endpoints(coordinator.endpoints):
         click.echo(f"factory worker --cores 2 --connect {endpoint}{tls}")
+    if unknown and not usable:
+        click.echo(
+            f"{', '.join(unknown)} cannot be resolved on this machine, so only its own workers can use the command "
+            "above: for others, create the certificate again with `factory keys host DIR NAME --role coordinator "
+            "--address ADDRESS --renew`, with an address of this machine",
+            err=True,
+        )

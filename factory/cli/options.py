@@ -426,7 +426,7 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     )
 
 
-def _collected(command: Command, name: str, kind: type[PlanChanges] | type[HttpOptions]) -> Command:
+def collected(command: Command, name: str, kind: type[Any]) -> Command:
     """Passes the parameters that are fields of `kind` to a command as one value with the name `name`."""
     names = [field.name for field in fields(kind)]
 
@@ -440,7 +440,7 @@ def _collected(command: Command, name: str, kind: type[PlanChanges] | type[HttpO
 
 def shrink_options(command: Command) -> Command:
     """Adds `--scene --episodes --expert --seed --record --rig --appearance` as `changes`: changes of a plan."""
-    command = _collected(command, "changes", PlanChanges)
+    command = collected(command, "changes", PlanChanges)
     for option in (
         appearance_option("Default: the plan's."),
         rig_option("Sensor rig: a built-in name or a TOML file; `paper` is the recorded camera. Default: the plan's."),
@@ -458,12 +458,12 @@ def shrink_options(command: Command) -> Command:
 
 def http_options(command: Command) -> Command:
     """Adds `--http HOST:PORT --http-token FILE` as `pages`."""
-    return _http_options(_collected(command, "pages", HttpOptions))
+    return _http_options(collected(command, "pages", HttpOptions))
 
 
 def run_http_options(command: Command) -> Command:
     """Adds `--http HOST:PORT --http-token FILE --eval DIR` of a run as `pages`."""
-    return _http_options(evaluations_option(_collected(command, "pages", HttpOptions)))
+    return _http_options(evaluations_option(collected(command, "pages", HttpOptions)))
 
 
 def _http_options(command: Command) -> Command:

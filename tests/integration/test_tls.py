@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import secrets
 import shutil
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from click.testing import CliRunner
 
 from coordinator.admin import administer
 from coordinator.options import CoordinatorOptions
@@ -19,8 +21,11 @@ from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import client_config, router_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from factory.cli.jobs import command as jobs
 from factory.keys import admit, revoke
+from factory.support.listen import split_resolvable
 from schemas.errors import TransientError, WorldError
+from schemas.protocol.address_file import find_endpoints, read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import Role, TlsFiles
 from schemas.protocol.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
@@ -253,6 +258,43 @@ def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_
         ask_progress(hub.endpoints, "stranger", files)
     with pytest.raises(TransientError, match="no coordinator at"):  # not reachable without a certificate
         administer(tmp_path / "out", request, datetime.now(UTC))
+
+
+def test_commands_on_the_machine_of_a_coordinator_use_loopback_and_others_their_endpoint(pki, tmp_path):
+    """The name in the certificate cannot be resolved, as with `factory keys host pki hub` on most machines."""
+    options = CoordinatorOptions(
+        listen=("tls/0.0.0.0:0",),
+        hosts=("name.invalid",),
+        settings=CoordinatorSettings(reserve_bytes=0),
+        guard=Guard(pki / "hub"),
+    )
+    root = tmp_path / "out"
+    with Coordinator(root, room_plan(2), room_catalog(tmp_path), options) as hub:
+        port = hub.endpoints[0].rpartition(":")[2]
+        assert hub.reachable == (f"tls/name.invalid:{port}",)
+        assert find_endpoints((f"@{root}",)) == (f"tls/127.0.0.1:{port}",)
+        assert split_resolvable(hub.reachable) == ((), hub.reachable)
+        for words in (["pause", str(root)], ["resume", "-", "--connect", f"tls/127.0.0.1:{port}"]):
+            started = time.monotonic()
+            ended = CliRunner().invoke(jobs, [*words, "--tls", str(pki / "admin")])
+            assert ended.exit_code == 0, ended.output
+            assert time.monotonic() - started < 8.0
+            assert hub.progress().paused == (words[0] == "pause")
+        elsewhere = json.loads((root / ".coordinator.json").read_text()) | {"host": "other-machine"}
+        (root / ".coordinator.json").write_text(json.dumps(elsewhere))
+        assert find_endpoints((f"@{root}",)) == hub.reachable
+
+
+def test_an_address_file_of_an_older_version_is_read(tmp_path):
+    (tmp_path / ".coordinator.json").write_text('{"run": "r", "endpoints": ["tcp/10.0.0.1:7447"], "pid": 7}')
+    assert find_endpoints((f"@{tmp_path}",)) == ("tcp/10.0.0.1:7447",)
+    for damage in (
+        "[]",
+        '{"run": "r", "endpoints": 3, "pid": 7}',
+        '{"run": "r", "endpoints": [], "pid": 7, "bound": ["x"]}',
+    ):
+        (tmp_path / ".coordinator.json").write_text(damage)
+        assert read_address(tmp_path) is None
 
 
 def test_an_operator_who_was_just_admitted_can_administer_the_run(pki, tmp_path):
