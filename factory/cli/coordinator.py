@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.defaults import LEASE_TTL_S
+from coordinator.defaults import LEASE_TTL_S, usable_cores
 from factory.cli.groups import CommandGroup
 from factory.cli.options import (
     PLACE,
@@ -130,7 +129,7 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers, spot_checks=spot_checks)
     require_room(site.state_dir, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        processes, gate_mode = os.cpu_count() or 1, gate_mode if is_new else "skip"
+        processes, gate_mode = usable_cores(), gate_mode if is_new else "skip"
         if rendering is None:
             catalog = open_scenes(plan, site, gate_mode, processes=processes, stop=stop)
         else:

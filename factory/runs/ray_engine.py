@@ -28,6 +28,7 @@ from schemas.support.extras import require_package
 from schemas.terms import RendererKind
 
 _DAYS = 30
+_MOST_CHARS = 200
 _QUERY_PAUSE_S = 2.0
 """Pause between two queries for the nodes of the cluster, seconds."""
 _MOST_DEATHS = 8
@@ -133,7 +134,7 @@ class RayCluster(Closing):
         try:
             return int(self._ray.get(task))
         except self._ray.exceptions.RayError as error:
-            return str(error).splitlines()[0]
+            return (str(error).splitlines() or [type(error).__name__])[0][:_MOST_CHARS]
 
     def _start(self, node_id: str, cores: int) -> _Node:
         name = f"ray-{node_id[:12]}"
