@@ -325,8 +325,10 @@ def recorded_versions(connection: Connection) -> tuple[str, ...]:
         WorldError: the record is damaged.
     """
     text = connection.execute(select(info.c.value).where(info.c.key == _VERSIONS)).scalar()
+    if text is None:
+        return ()
     try:
-        return () if text is None else _TEXTS.validate_json(text)
+        return _TEXTS.validate_json(text)
     except ValueError as error:
         raise WorldError(f"the ledger is damaged: its record of versions {text[:80]!r} cannot be read") from error
 

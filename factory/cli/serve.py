@@ -85,8 +85,16 @@ def command(
     if is_folder:
         served = serve_folder(site.state_dir, http, token, tls, host_names)
     else:
-        pages = {"tls": tls, "evaluations": evaluations, "host_names": host_names}
-        served = serve(site, http, token, ledger=ledger, renders_ahead=True, **pages)
+        served = serve(
+            site,
+            http,
+            token,
+            tls=tls,
+            ledger=ledger,
+            evaluations=evaluations,
+            renders_ahead=True,
+            host_names=host_names,
+        )
     with served as url, stop_on_signals() as (stop, _):
         click.echo(f"web page of {site}: {url}")
         stop.wait()
