@@ -74,7 +74,7 @@ class RayWorker:
 class Scratch(Closing):
     """Private folder of this process, which is removed when it is closed, or by a later start on the same machine.
 
-    The process holds a lock in the folder; the lock of a killed process is free, so the next `Scratch` in `base`
+    The process has a lock in the folder; the lock of a killed process is free, so the next `Scratch` in `base`
     removes its folder. A restarted process of the same name takes over the folder with its content.
 
     Args:

@@ -48,7 +48,7 @@ drain() {
 trap 'requeue=yes; drain' USR1  # before the time limit: --signal of this script
 trap drain TERM INT             # scancel, or a preemption, after which Slurm queues the task again
 
-# hold_scratch: holds a shared lock in the folder of the run on this node, and removes folders of this user that no task
+# hold_scratch: takes a shared lock in the folder of the run on this node, and removes folders of this user that no task
 # has held for a day, such as those of killed tasks
 hold_scratch() {
     command -v flock >/dev/null || return 0
@@ -65,8 +65,8 @@ hold_scratch() {
     done
 }
 
-# leave_scratch STATUS: removes the spool, whose jobs other tasks simulate again, the local ledger of a finished task, and
-# the folder if no other task holds it and no requeued task has left its spool or ledger there
+# leave_scratch STATUS: removes the spool, whose jobs other tasks simulate again, the local ledger of a finished task,
+# and the folder if no other task holds it and no requeued task has left its spool or ledger there
 leave_scratch() {
     rm -rf -- "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID:-0}"
     if [ "$1" -eq 0 ]; then rm -f -- "${MINIVLA_CACHE}/ledger-${SLURM_ARRAY_TASK_ID:-0}."*; fi

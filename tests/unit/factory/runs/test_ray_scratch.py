@@ -29,7 +29,7 @@ with Scratch(sys.argv[1], Path(sys.argv[2])) as scratch:
 
 @contextmanager
 def holder(name: str, base: Path) -> Iterator[subprocess.Popen[str]]:
-    """Runs a process that holds a folder with a key."""
+    """Runs a process that uses a folder with a key."""
     command = [sys.executable, "-c", HOLDER, name, str(base)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
