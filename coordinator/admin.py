@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -32,6 +33,7 @@ def administer(
     *,
     name: str = OPERATOR,
     tls: TlsFiles | None = None,
+    connect: Sequence[str] = (),
 ) -> AdminReply:
     """Executes an admin request. The request is idempotent.
 
@@ -42,12 +44,15 @@ def administer(
         ledger_url: URL of the ledger; by default the ledger in the directory.
         name: name of the requester; with TLS the common name of its certificate.
         tls: TLS files for the connection to a running coordinator; `None` connects without TLS.
+        connect: endpoints of the running coordinator, which is then asked without reading the directory.
 
     Raises:
         TransientError: a coordinator holds the directory and does not answer.
         WorldError: the ledger does not exist, or the directory cannot be locked.
         UsageError: the ledger has another format, or a drain is requested and no coordinator runs.
     """
+    if connect:
+        return ask_admin(connect, request, name, tls)
     url = ledger_url_of(root, ledger_url)
     with open_ledger(url) as connection:
         read_info(connection)  # raises before any file is created
@@ -76,18 +81,13 @@ def _ask_coordinator(root: Path, request: AdminRequest, name: str, tls: TlsFiles
         if address is None or not address.endpoints:
             return None
         try:
-            return ask_admin([_from_here(endpoint) for endpoint in address.endpoints], request, name, tls)
+            return ask_admin(address.nearest, request, name, tls)
         except TransientError:
             if not is_held(root):
                 return None  # a killed coordinator leaves its address file
             if time.monotonic() > end:
                 raise
         time.sleep(_PAUSE_S)
-
-
-def _from_here(endpoint: str) -> str:
-    """Replaces the wildcard address of an endpoint with the loopback address."""
-    return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
 
 
 def _administer_offline(url: str, request: AdminRequest, now: datetime) -> AdminReply:

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+import structlog
+
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import add_files
 from coordinator.expansion.draw import expand_layout
 from coordinator.ledger.builds import number_of_layout, open_builds
-from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.ledger.opening import ledger_url_of, note_opened, note_version, open_run, record_ledger
 from coordinator.ledger.repair import adopt_package
 from coordinator.ledger.run_ledger import RunLedger
 from coordinator.meters import Meters
@@ -25,6 +27,8 @@ from coordinator.tables.checkpoint import is_checkpoint_due
 from coordinator.transfer.contract import BundleValidator
 from coordinator.validation.validator import Validator
 from schemas.terms import family_of
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,8 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
     stack.callback(checker.close)
     archive = stack.enter_context(open_archive(root, options.store, take_over=options.take_over))
     replace_unusable_ledger(archive, url, terms.catalog)
-    ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock))
+    ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock, options.settings.ledger_outage_s))
+    record_ledger(root, url)
     are_tables_owed = _reconcile(archive, ledger, terms=terms, checker=checker, options=options)
     return RunContext(
         terms,
@@ -99,6 +104,19 @@ def _adopt_layouts(ledger: RunLedger, terms: Terms, now: datetime) -> None:
                 adopt_package(connection, build, sha256=entry.sha256, size=entry.size, planned=planned, now=now)
 
 
+def _note_version(ledger: RunLedger, version: str) -> None:
+    with ledger.engine.begin() as connection:
+        former = note_version(connection, version)
+    if former:
+        log.warning(
+            "version_changed",
+            run_by=former,
+            now=version,
+            remedy="episodes of two versions may differ: if the digest of the dataset matters, stop, and continue with "
+            "the former version",
+        )
+
+
 def _reconcile(
     archive: Archive, ledger: RunLedger, terms: Terms, checker: BundleValidator, options: CoordinatorOptions
 ) -> bool:
@@ -112,6 +130,7 @@ def _reconcile(
         planned=planned,
         shard=options.shard,
     )
+    _note_version(ledger, terms.version)
     for name, entry in terms.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256, entry.textures)
         if entry.textures:
@@ -120,6 +139,9 @@ def _reconcile(
     archive.sweep_textures(frozenset().union(*terms.textures.values()))
     _adopt_layouts(ledger, terms, options.clock())
     reconciled = reconcile(archive, ledger.engine, terms=terms, checker=checker, now=options.clock())
+    if reconciled.adopted:
+        with ledger.engine.begin() as connection:
+            note_opened(connection, options.clock())  # the rate does not count adopted episodes
     ledger.start_writer()
     with ledger.reading() as connection:
         is_owed = is_checkpoint_due(archive, connection)

@@ -102,7 +102,7 @@ class Coordinator(Closing):
             """Health and metrics of the coordinator."""
             self.reachable = usable_endpoints(self.endpoints, options.hosts or (socket.gethostname(),))
             """Endpoints with the names of this host instead of wildcard addresses."""
-            write_address(root, plan.run, self.reachable)
+            write_address(root, plan.run, self.reachable, self.endpoints)
             stack.callback(remove_address, root)
             self._stack = stack.pop_all()
         log.info("coordinator_started", run=plan.run, endpoints=self.endpoints, directory=str(options.store or root))
@@ -202,6 +202,7 @@ class Coordinator(Closing):
             evaluation=options.evaluation,
             is_pulled=lambda index: self._pullers.has(index),
             find_states=options.find_states,
+            role_of=(lambda _host: None) if options.guard is None else options.guard.role_of,
             workers_validate=options.settings.spot_checks is not None and options.evaluation is None,
         )
 

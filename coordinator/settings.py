@@ -48,5 +48,7 @@ class CoordinatorSettings(Model):
     """Time without traffic after which zenoh closes a link, seconds."""
     admission_s: Positive = 2.0
     """Interval of reading the admission list with TLS, seconds."""
+    ledger_outage_s: Positive = 300.0
+    """Longest time for which the server of the ledger may not answer, seconds; a longer outage ends the coordinator."""
     backlog: Annotated[int, Field(ge=1)] = 20_000
     """Maximum number of waiting requests; further requests get no reply and are repeated by the client."""

@@ -66,3 +66,38 @@ def test_no_function_has_more_lines_than_the_limit() -> None:
                 written = (first.end_lineno or first.lineno) - first.lineno + 1 if ast.get_docstring(node) else 0
                 found[f"{path.relative_to(ROOT)}:{node.name}"] = last - node.lineno + 1 - written
     assert {name: length for name, length in found.items() if length > MOST_FUNCTION_LINES} == {}
+
+
+def test_no_message_shows_the_representation_of_an_enum() -> None:
+    trees = {path: parsed(path) for path in sources()}
+    classes = [node for tree in trees.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    enums = {one.name for one in classes if {ast.unparse(base) for base in one.bases} & {"Enum", "IntEnum", "StrEnum"}}
+    assert {"Verb", "Role", "Split"} <= enums
+    found = {
+        f"{path.relative_to(ROOT)}: {name!r}"
+        for path, tree in trees.items()
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef)
+        for name in shown_by_representation(function)
+        & {
+            argument.arg
+            for argument in (*function.args.args, *function.args.kwonlyargs)
+            if argument.annotation is not None and ast.unparse(argument.annotation) in enums - assigned(tree)
+        }
+    }
+    assert found == set()
+
+
+def assigned(tree: ast.Module) -> set[str]:
+    """Returns the names that a module assigns at its top level, such as a `Literal` with the name of an enum."""
+    targets = (target for node in tree.body if isinstance(node, ast.Assign) for target in node.targets)
+    return {ast.unparse(target) for target in targets}
+
+
+def shown_by_representation(function: ast.FunctionDef) -> set[str]:
+    """Returns the expressions that a function formats with `!r`."""
+    return {
+        ast.unparse(node.value)
+        for node in ast.walk(function)
+        if isinstance(node, ast.FormattedValue) and node.conversion == ord("r")
+    }

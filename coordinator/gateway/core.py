@@ -73,7 +73,7 @@ class CoreLink:
         if not replies:
             self._reconnect()
             raise TransientError(
-                f"the coordinator does not answer request {verb!r} of gateway {self._name}; the request is repeated"
+                f"the coordinator does not answer request `{verb}` of gateway {self._name}; the request is repeated"
             )
         if len(replies) > 1:
             raise WorldError(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import xxhash
 from pydantic import TypeAdapter
@@ -23,7 +23,7 @@ from sqlalchemy.engine import Connection
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand_each
 from coordinator.ledger.builds import built_layouts, insert_builds, unbuilt_layouts
-from coordinator.ledger.database.engine import sqlite_url
+from coordinator.ledger.database.engine import is_server, public_url, sqlite_url
 from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import (
     BUILD,
@@ -36,21 +36,34 @@ from coordinator.ledger.tables import (
     jobs,
 )
 from coordinator.ledger.tallies import install_tallies
-from schemas.base import Sha256
+from schemas.base import Line, Model, Sha256
 from schemas.dataset.run_shard import RunShard, parse_shard
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
-from schemas.storage.dataset_files import LEDGER_FILE
+from schemas.storage.dataset_files import LEDGER_FILE, LEDGER_PLACE_FILE
 
 _INSERT_ROWS = 5000
 _MOST_DIFFERENCES, _VALUE_CHARS = 12, 60
 _DIGITS = re.compile("[0-9]{1,9}")
 _SCENES = TypeAdapter(dict[str, Sha256])
-_SANDBOX, _SHARD, _OPENED = "sandbox", "shard", "opened_at"
+_TEXTS = TypeAdapter(tuple[Line, ...])
+_SANDBOX, _SHARD, _OPENED, _VERSIONS = "sandbox", "shard", "opened_at", "versions"
+_MOST_PLACE_BYTES = 1 << 16
+_MOST_VERSIONS = 100
+"""Largest number of recorded versions; the newest are kept."""
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
 _BUILDING = select(jobs.c.scene).where(jobs.c.tier == BUILD)
 _IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction")
+
+
+class _LedgerPlace(Model):
+    """Content of `ledger.json`."""
+
+    kind: Literal["sqlite", "postgresql"]
+    """Kind of the database."""
+    url: Line
+    """URL of the database, without password."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +95,54 @@ class LedgerInfo:
 
 
 def ledger_url_of(root: Path, url: str | None = None) -> str:
-    """Returns `url`, or by default the URL of the ledger in a dataset directory."""
+    """Returns `url`, or by default the URL of the ledger in a dataset directory.
+
+    Raises:
+        UsageError: no URL is given, and the ledger of the dataset is elsewhere.
+    """
+    elsewhere = recorded_ledger(root) if url is None else ""
+    if elsewhere:
+        secret = ", with its password if it needs one" if is_server(elsewhere) else ""
+        raise UsageError(
+            f"the ledger of {root} is {elsewhere}: give it as --ledger or in MINIVLA_LEDGER{secret}; without it, a "
+            "second ledger would be made"
+        )
     return url or sqlite_url(root / LEDGER_FILE)
+
+
+def record_ledger(root: Path, url: str) -> None:
+    """Writes where the ledger of a dataset is, without password, unless it is the file in the directory.
+
+    Args:
+        root: directory of the dataset, or its state directory.
+        url: URL of the ledger.
+    """
+    path = root / LEDGER_PLACE_FILE
+    if url == sqlite_url(root / LEDGER_FILE):
+        path.unlink(missing_ok=True)
+        return
+    kind = "postgresql" if is_server(url) else "sqlite"
+    part = path.with_name(f"{path.name}.part")
+    part.write_text(json.dumps({"kind": kind, "url": public_url(url)}) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def recorded_ledger(root: Path) -> str:
+    """Returns the recorded URL of a ledger elsewhere, without password; empty if none is recorded.
+
+    Raises:
+        WorldError: the record is damaged.
+    """
+    path = root / LEDGER_PLACE_FILE
+    try:
+        with path.open("rb") as file:
+            return _LedgerPlace.model_validate_json(file.read(_MOST_PLACE_BYTES)).url
+    except (FileNotFoundError, NotADirectoryError):
+        return ""
+    except ValueError as error:
+        raise WorldError(
+            f"{path} is damaged: remove it, and give the ledger of the run as --ledger; the next start writes it again"
+        ) from error
 
 
 def open_run(
@@ -122,8 +181,8 @@ def open_run(
             _check_is_ours(recorded, plan, catalog, {**recorded.scenes, **recorded.layouts})
             require_shard(recorded.shard, shard)
             install_tallies(connection)
-            opened = {_OPENED: now.isoformat()} if _has_open_jobs(connection) else {}
-            write_info(connection, {"lease_ttl_s": str(lease_ttl_s), **opened})
+            write_info(connection, {"lease_ttl_s": str(lease_ttl_s)})
+            note_opened(connection, now)
             return False
         unbuilt = unbuilt_layouts(plan, catalog) if planned is None else []
         planned = expand_each(plan, catalog) if planned is None else planned
@@ -237,6 +296,41 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
         episodes=int(facts[PLANNED_EPISODES]) if PLANNED_EPISODES in facts else None,
         opened_at=datetime.fromisoformat(facts.get(_OPENED, facts["created_at"])),
     )
+
+
+def note_version(connection: Connection, version: str) -> str:
+    """Records the version that continues an unfinished run; returns the last recorded one if it differs, else empty.
+
+    A run without open jobs produces no more episodes, so nothing is recorded.
+    """
+    if not _has_open_jobs(connection):
+        return ""
+    versions = recorded_versions(connection)
+    if versions[-1:] == (version,):
+        return ""
+    write_info(connection, {_VERSIONS: json.dumps([*versions, version][-_MOST_VERSIONS:])})
+    return versions[-1] if versions else ""
+
+
+def note_opened(connection: Connection, now: datetime) -> None:
+    """Records when an unfinished run was opened; the rate counts the episodes that were archived after this time."""
+    if _has_open_jobs(connection):
+        write_info(connection, {_OPENED: now.isoformat()})
+
+
+def recorded_versions(connection: Connection) -> tuple[str, ...]:
+    """Returns the versions of minivla-factory that have run the coordinator, oldest first; empty in old ledgers.
+
+    Raises:
+        WorldError: the record is damaged.
+    """
+    text = connection.execute(select(info.c.value).where(info.c.key == _VERSIONS)).scalar()
+    if text is None:
+        return ()
+    try:
+        return _TEXTS.validate_json(text)
+    except ValueError as error:
+        raise WorldError(f"the ledger is damaged: its record of versions {text[:80]!r} cannot be read") from error
 
 
 def note_sandbox(connection: Connection, layers: Sequence[str]) -> None:

@@ -26,9 +26,15 @@ _VERBS: Mapping[Role, Sequence[Verb]] = {
     Role.WORKER: (Verb.HELLO, Verb.CLAIM, Verb.BEAT, Verb.DONE, Verb.FAIL, Verb.PROGRESS),
     Role.OPERATOR: (Verb.PROGRESS, Verb.ADMIN),
     Role.GATEWAY: (Verb.JOIN, Verb.ORDERS, Verb.HOLD, Verb.ARCHIVED, Verb.REFUSED, Verb.INVENTORY),
-    Role.EVALUATOR: (Verb.PING,),
+    Role.EVALUATOR: (),
 }
+"""Verbs of each role, besides `ping`, which every role may send to learn its role."""
 _SERVING = ["declare_queryable", "reply", "liveliness_token"]
+
+
+def roles_with(verb: Verb) -> tuple[Role, ...]:
+    """Returns the roles that may send a verb."""
+    return tuple(role for role, verbs in _VERBS.items() if verb in verbs)
 
 
 def access_control(admitted: Mapping[str, Role]) -> dict[str, Any]:
@@ -56,7 +62,7 @@ def _granted(name: str, role: Role) -> tuple[list[dict[str, Any]], Sequence[str]
     """Returns the rules of one name, and the ids of the shared rules that apply to it."""
     if role is Role.COORDINATOR:
         return [], _OF_CORE
-    verbs = [verb_key(_ANY_RUN, name, verb) for verb in _VERBS[role]]
+    verbs = [verb_key(_ANY_RUN, name, verb) for verb in (*_VERBS[role], Verb.PING)]
     rules = [_rule(f"ask-{name}", "ingress", ["query"], verbs), _rule(f"tell-{name}", "egress", ["reply"], verbs)]
     if role is Role.OPERATOR:
         return rules, _OF_ALL

@@ -9,21 +9,23 @@ from typing import TypeVar
 import zenoh
 from pydantic import ValidationError
 
+from coordinator.protocol.access import roles_with
 from coordinator.protocol.zenoh_config import client_config
 from coordinator.settings import CoordinatorSettings
 from schemas.base import Model
-from schemas.errors import TransientError, WorldError
+from schemas.errors import FactoryError, TransientError, WorldError
 from schemas.protocol.address_file import find_endpoints
 from schemas.protocol.administration import AdminReply, AdminRequest
 from schemas.protocol.identity import TlsFiles
 from schemas.protocol.keys import Verb, any_hello_key
-from schemas.protocol.messages import Ack, Ping, Refusal
+from schemas.protocol.messages import Ping, Pong, Refusal
 from schemas.protocol.reachability import why_unreachable
 from schemas.protocol.status import Progress
+from schemas.support.product import product_version
 
 OPERATOR = "operator"
 """Default name of a requester."""
-_TIMEOUT_S = 10.0
+_TIMEOUT_S, _PING_S = 10.0, 3.0
 R = TypeVar("R", bound=Model)
 
 
@@ -47,7 +49,7 @@ def ask_presence(endpoints: Sequence[str], name: str = OPERATOR, tls: TlsFiles |
     Raises:
         TransientError: no coordinator replies at the endpoints.
     """
-    _ask(endpoints, Verb.PING, Ping(), Ack, name, tls)
+    _ask(endpoints, Verb.PING, Ping(), Pong, name, tls)
 
 
 def ask_admin(
@@ -75,8 +77,28 @@ def _ask(
     except zenoh.ZError as error:
         cause = why_unreachable(endpoints, tls) or str(error).split(" at /")[0]
         raise TransientError(f"no coordinator at {named} ({cause}): start one, or check the endpoint") from error
-    admitted = f", or it does not admit {name!r} (its hosts.txt)" if tls is not None else ""
-    raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; try again")
+    if tls is None:
+        raise TransientError(f"the coordinator at {named} did not answer the request `{verb}`; try again")
+    raise _silence(endpoints, verb, name, tls)
+
+
+def _silence(endpoints: Sequence[str], verb: Verb, name: str, tls: TlsFiles) -> FactoryError:
+    """Returns why a coordinator did not answer a request over TLS: the access rules drop what a role may not send."""
+    named = ", ".join(endpoints)
+    with contextlib.suppress(zenoh.ZError, WorldError), _open(endpoints, tls) as session:
+        for reply in query(session, any_hello_key(name, Verb.PING), Ping().model_dump_json(), _PING_S):
+            role, able = read_reply(reply, Pong, named).role, roles_with(verb)
+            if role is not None and role not in able:
+                return WorldError(
+                    f"the coordinator at {named} does not serve the request `{verb}` for {name!r}: its role is {role}, "
+                    f"and the request needs the role {' or '.join(able)}. Use the --tls folder of such a host, or "
+                    f"create one where the authority is: `factory keys host DIR NAME --role {able[-1]}`"
+                )
+            return TransientError(f"the coordinator at {named} answers, but not the request `{verb}`; try again")
+    return TransientError(
+        f"the coordinator at {named} did not answer the request `{verb}`, or it does not admit {name!r} "
+        "(its hosts.txt): add the host there, or try again"
+    )
 
 
 def _open(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Session:
@@ -129,5 +151,8 @@ def read_reply(payload: bytes, answer: type[R], who: str) -> R:
         try:
             refusal = Refusal.model_validate_json(payload)
         except ValidationError:
-            raise WorldError(f"{who} uses another version of the protocol: {error}") from error
+            raise WorldError(
+                f"{who} sent a reply that minivla-factory {product_version()} cannot read, so it runs another version: "
+                f"use the version that `factory --version` prints on its host ({error.error_count()} differences)"
+            ) from error
         raise WorldError(f"{who} refused: {refusal.error}") from error

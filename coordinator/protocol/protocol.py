@@ -29,10 +29,11 @@ from schemas.exchangeable import candidates_of
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.protocol.administration import AdminRequest
-from schemas.protocol.identity import is_host_name
+from schemas.protocol.identity import Role, is_host_name
 from schemas.protocol.keys import Verb, sid_belongs_to
 from schemas.protocol.messages import (
     MAX_MESSAGE_BYTES,
+    PROTOCOL,
     Ack,
     Beat,
     BeatReply,
@@ -40,13 +41,16 @@ from schemas.protocol.messages import (
     ClaimReply,
     Done,
     Fail,
+    Greeting,
     Hello,
     HelloReply,
     HostMemory,
     Ping,
+    Pong,
     Refusal,
     RunKind,
 )
+from schemas.support.product import product_version, why_refused
 from schemas.terms import family_of
 
 M = TypeVar("M", bound=Model)
@@ -60,6 +64,8 @@ _MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
     }
 )
 """Maximum message size by verb, bytes; `_SMALL_MESSAGE_BYTES` for other verbs."""
+_GREETINGS = MappingProxyType({Verb.HELLO: "worker", Verb.JOIN: "gateway"})
+"""Sender by verb of the messages that state the version of the sender."""
 _NAME_END, _BYTES_A_NAME = b'":', 24
 """A JSON message may have one key per `_BYTES_A_NAME` bytes of the maximum message size of its verb; keys are counted
 by `_NAME_END`. Otherwise, each of thousands of unknown keys would cause a separate validation error. A full heartbeat
@@ -104,6 +110,8 @@ class Terms:
     """Memory that each host reported in its last heartbeat, by the name of the host."""
     textures: dict[str, frozenset[str]] = field(default_factory=dict)
     """SHA-256 of the stored textures by family."""
+    role_of: Callable[[str], Role | None] = lambda _host: None
+    """Function that returns the role of a host in the admission list; `None` without TLS."""
     workers_validate: bool = False
     """Whether workers validate their bundles before they announce them."""
 
@@ -152,6 +160,9 @@ def parse(
         return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")
     if most < MAX_MESSAGE_BYTES and payload.count(_NAME_END) > most // _BYTES_A_NAME:
         return Refusal(error=f"{verb}: more keys than this message allows; check that both sides run the same version")
+    foreign = _why_other_protocol(Verb(verb), host, payload)
+    if foreign:
+        return Refusal(error=f"{verb}: {foreign}")
     try:
         message = known[Verb(verb)].model_validate_json(payload)
     except ValidationError as error:
@@ -164,6 +175,20 @@ def parse(
             error=f"{verb}: session {sid!r} does not belong to host {host!r}; session ids begin with the host name"
         )
     return ParsedRequest(host, message)
+
+
+def _why_other_protocol(verb: Verb, host: str, payload: bytes) -> str:
+    """Returns why a registration with another version of the messages is refused; empty for all other messages."""
+    if verb not in _GREETINGS:
+        return ""
+    try:
+        greeting = Greeting.model_validate_json(payload)
+    except ValidationError:
+        return ""  # not a registration of any version
+    if greeting.protocol == PROTOCOL:
+        return ""
+    peer = f"{_GREETINGS[verb]} {host}"
+    return why_refused(peer, greeting.version, greeting.protocol, mine=product_version(), my_protocol=PROTOCOL)
 
 
 def _mistakes(error: ValidationError) -> str:
@@ -200,12 +225,10 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
             Refusal(error=f"hello: the message names host {hello.host!r}, but its key names {host!r}")
         )
     if hello.version != terms.version:
-        return ProtocolAnswer(
-            Refusal(
-                error=f"hello: worker {hello.sid} runs minivla-factory {hello.version}, the coordinator "
-                f"{terms.version}; episodes of two versions may differ: install the same version on both"
-            )
+        why = why_refused(
+            f"worker {hello.sid}", hello.version, hello.protocol, mine=terms.version, my_protocol=PROTOCOL
         )
+        return ProtocolAnswer(Refusal(error=f"hello: {why}; episodes of two versions may differ"))
     if not hosts.register(connection, hello, now):
         return ProtocolAnswer(
             Refusal(
@@ -281,7 +304,7 @@ def _admin(connection: Connection, request: AdminRequest, host: str, terms: Term
 
 
 def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
-    return ProtocolAnswer(Ack(accepted=True))
+    return ProtocolAnswer(Pong(role=terms.role_of(host)))
 
 
 def _bundle_of(row: Row[Any], sid: str, via: str | None, terms: Terms, *, is_validated: bool = False) -> IncomingBundle:

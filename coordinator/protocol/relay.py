@@ -14,7 +14,7 @@ from schemas.base import Bytes, Line, Model, Ordinal, Sha256, Text
 from schemas.dataset.rows import EpisodeSummary
 from schemas.job import Job
 from schemas.protocol.administration import Hosts
-from schemas.protocol.messages import Detail, Lease, RouterId, SessionId, Version
+from schemas.protocol.messages import PROTOCOL, Detail, Lease, ProtocolNumber, RouterId, SessionId, Version
 from schemas.scene import MAX_INSTANCES, Target
 
 MAX_FILES, MAX_LOST, MAX_ORDERS = 1000, 1000, 64
@@ -26,6 +26,8 @@ class Join(Model):
 
     version: Version
     """Version of minivla-factory."""
+    protocol: ProtocolNumber = PROTOCOL
+    """Version of the messages of the gateway."""
     router: RouterId
     """zenoh id of the gateway's router."""
 

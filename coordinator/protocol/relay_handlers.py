@@ -43,7 +43,8 @@ from schemas.dataset.rows import EpisodeSummary, file_name_of
 from schemas.exchangeable import candidates_of
 from schemas.job import Job
 from schemas.protocol.keys import Verb
-from schemas.protocol.messages import Ack, Fail, Refusal, cut_detail
+from schemas.protocol.messages import PROTOCOL, Ack, Fail, Refusal, cut_detail
+from schemas.support.product import why_refused
 from schemas.terms import FailReason
 
 Handler = Callable[[Connection, Any, str, Terms, datetime], Model]
@@ -76,10 +77,9 @@ def orders_for(bundles: tuple[IncomingBundle, ...]) -> Orders:
 
 def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: datetime) -> Model:  # noqa: ARG001
     if join.version != terms.version:
-        return Refusal(
-            error=f"gateway {gateway} runs minivla-factory {join.version}, the coordinator {terms.version}: install "
-            "the same version on both"
-        )
+        peer = f"gateway {gateway}"
+        why = why_refused(peer, join.version, join.protocol, mine=terms.version, my_protocol=PROTOCOL)
+        return Refusal(error=f"join: {why}")
     if terms.evaluation is not None:
         return Refusal(error="gateways do not store the results of evaluations: connect the workers to the coordinator")
     return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)

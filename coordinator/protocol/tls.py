@@ -61,6 +61,13 @@ class Guard:
             raise UsageError(f"{self.files.admitted}: {error}") from error
         return {name: role for name, role in named.items() if role in _AT_GATEWAY} if self.of_gateway else named
 
+    def role_of(self, host: str) -> Role | None:
+        """Returns the role of a host in the admission list; `None` if it is not listed, or the list is invalid now."""
+        try:
+            return self.admitted().get(host)
+        except UsageError:
+            return None
+
 
 def read_credentials(folder: Path) -> tuple[TlsFiles, str]:
     """Returns the files of a TLS folder and the common name of its certificate.

@@ -21,7 +21,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.claims import has_open_jobs
 from coordinator.ledger.database.engine import is_server, open_reader, open_writer
-from coordinator.ledger.opening import FormerFormat, holds_run, open_run, read_info
+from coordinator.ledger.opening import FormerFormat, holds_run, open_run, read_info, record_ledger
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_content_digests
@@ -317,6 +317,7 @@ def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, troub
     if trouble:
         quarantine_ledger(archive, dataset.url, trouble)
     engine = open_writer(dataset.url)
+    record_ledger(dataset.state_dir, dataset.url)
     try:
         open_run(
             engine,

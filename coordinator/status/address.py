@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
+from collections.abc import Sequence
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from schemas.errors import UsageError, WorldError
 
 _MIN_TOKEN = 16
+_MOST_NAME_CHARS = 253
+_DNS_NAME = re.compile(
+    r"[A-Za-z0-9](?:[A-Za-z0-9-]{0,61}[A-Za-z0-9])?(?:\.[A-Za-z0-9](?:[A-Za-z0-9-]{0,61}[A-Za-z0-9])?)*"
+)
 _NOT_IN_HOST = frozenset("@/?#")
 """Characters of a URL that are not valid in a host; `urlsplit` ignores what precedes or follows them."""
 
@@ -21,9 +27,13 @@ class HttpAddress(NamedTuple):
     """Host name or address."""
     port: int
     """TCP port."""
+    names: tuple[str, ...] = ()
+    """Further names of the server, in lower case, such as that of an ingress or of a service."""
 
 
-def parse_address(text: str, token: str | None, *, is_encrypted: bool = False) -> HttpAddress:
+def parse_address(
+    text: str, token: str | None, *, is_encrypted: bool = False, names: Sequence[str] = ()
+) -> HttpAddress:
     """Parses HOST:PORT.
 
     Args:
@@ -31,9 +41,11 @@ def parse_address(text: str, token: str | None, *, is_encrypted: bool = False) -
             machine.
         token: token that requests require; `None` allows loopback only.
         is_encrypted: whether clients need a certificate, which allows every address without a token.
+        names: further names that requests may carry in their `Host` header.
 
     Raises:
-        UsageError: the address is malformed, other machines can reach it without a token, or the token is too short.
+        UsageError: the address or a name is malformed, other machines can reach it without a token, or the token is too
+            short.
     """
     host, colon, port = text.rpartition(":")
     if not colon or not port.isdigit() or int(port) > 65535:
@@ -49,11 +61,14 @@ def parse_address(text: str, token: str | None, *, is_encrypted: bool = False) -
             f"{text} is reachable from other machines: serve on 127.0.0.1:PORT, or protect the pages with "
             "--http-token FILE"
         )
-    return HttpAddress(host, int(port))
+    for name in names:
+        if len(name) > _MOST_NAME_CHARS or _DNS_NAME.fullmatch(name) is None:
+            raise UsageError(f"--host-name {name[:80]!r} is not a host name; example: minivla.example.org")
+    return HttpAddress(host, int(port), tuple(name.lower() for name in names))
 
 
 def is_own_name(host: str, address: HttpAddress) -> bool:
-    """Returns whether the `Host` header of a request names this server by a loopback name or its configured address.
+    """Returns whether the `Host` header of a request has a loopback name, the configured address or a configured name.
 
     If the server listens on every address of this machine, each numeric address and the machine's host name match too.
     The check prevents DNS rebinding: the requests of a web page whose name resolves to this machine carry that name.
@@ -68,7 +83,7 @@ def is_own_name(host: str, address: HttpAddress) -> bool:
         name = (urlsplit(f"//{host}").hostname or "").rstrip(".").lower()
     except ValueError:
         return False
-    if _is_loopback(name) or name == address.host.lower():
+    if _is_loopback(name) or name == address.host.lower() or name in address.names:
         return True
     return _is_any(address.host) and (_is_numeric(name) or name == socket.gethostname().lower())
 

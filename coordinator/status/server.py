@@ -269,7 +269,7 @@ class _StatusApp:
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
         host = headers.get(b"host")
         if host is not None and not is_own_name(host, self._address):
-            text = f"not served as {host[:80]}: use the address of this server"
+            text = f"not served as {host[:80]}: use the address of this server, or start it with --host-name NAME"
             return plain_page(HTTPStatus.MISDIRECTED_REQUEST, text)
         if scope["method"] not in ("GET", "HEAD"):
             return plain_page(HTTPStatus.METHOD_NOT_ALLOWED, "use GET or HEAD")

@@ -260,6 +260,10 @@ class _Child:
         self.layers = tuple(layers)
         if word != "ready":
             self._kill()
+            if self.was_ended:
+                raise TransientError(
+                    "a signal from outside, such as that of a batch system, ended the validating process"
+                )
             raise TransientError(
                 f"the validating process does not start ({self.exit_description}): check the free memory"
             )

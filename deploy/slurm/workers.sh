@@ -3,7 +3,8 @@
 #   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
 #
 # A task that reaches its time limit returns its jobs and queues itself again; Slurm queues preempted tasks again, and
-# `scancel` ends a task. The run is finished when a worker exits without a signal, and then the task ends without requeuing.
+# `scancel` ends a task. A worker exits with 0 when the run is finished, and the task then ends without requeuing; a
+# stopped worker exits with 130.
 # `factory submit slurm` writes scripts that also start the coordinator, or that run shards without a coordinator.
 #SBATCH --job-name=minivla
 #SBATCH --ntasks=1
@@ -33,11 +34,41 @@ drain() {
 trap 'requeue=yes; drain' USR1  # before the time limit: --signal of this script
 trap drain TERM INT             # scancel, or a preemption, after which Slurm queues the task again
 
+# hold_scratch: takes a shared lock in the folder of the run on this node, and removes folders of this user that no task
+# has held for a day, such as those of killed tasks
+hold_scratch() {
+    command -v flock >/dev/null || return 0
+    for folder in "${MINIVLA_CACHE%/*}/minivla-${USER:-factory}"*; do
+        if [ -O "${folder}/.lock" ] && [ -n "$(find "${folder}/.lock" -mmin +1440)" ]; then
+            (flock -n -x 9 && rm -rf -- "${folder}") 9>>"${folder}/.lock"
+        fi
+    done
+    while mkdir -p "${MINIVLA_CACHE}" && exec 9>>"${MINIVLA_CACHE}/.lock"; do
+        touch "${MINIVLA_CACHE}/.lock"
+        flock -s 9
+        # the last task of another job step may have removed the folder before it was locked
+        if [ "${MINIVLA_CACHE}/.lock" -ef "/proc/self/fd/9" ]; then return 0; fi
+    done
+}
+
+# leave_scratch STATUS: removes the spool, whose jobs other tasks simulate again, the local ledger of a finished task,
+# and the folder if no other task holds it and no requeued task has left its spool or ledger there
+leave_scratch() {
+    rm -rf -- "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID:-0}"
+    if [ "$1" -eq 0 ]; then rm -f -- "${MINIVLA_CACHE}/ledger-${SLURM_ARRAY_TASK_ID:-0}."*; fi
+    if ! { true >&9; } 2>/dev/null || ! flock -n -x 9; then return 0; fi
+    for kept in "${MINIVLA_CACHE}"/spool-* "${MINIVLA_CACHE}"/ledger-*; do
+        if [ -e "${kept}" ]; then return 0; fi
+    done
+    rm -rf -- "${MINIVLA_CACHE}"
+}
+
 # run_task UNFINISHED COMMAND...: runs a command; queues the task again if it exits with UNFINISHED after SIGUSR1
 run_task() {
     unfinished=$1
     shift
-    "$@" &
+    hold_scratch
+    "$@" 9>&- &
     child=$!
     # signalled before the command was started
     if [ -n "${stopped}" ]; then kill -TERM "${child}" 2>/dev/null; fi
@@ -59,9 +90,8 @@ run_task() {
         scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
         exit $?
     fi
-    # bundles that were not fetched are deleted, too; other tasks simulate their jobs again
-    rm -rf -- "${MINIVLA_CACHE}/spool-${SLURM_ARRAY_TASK_ID:-0}"
+    leave_scratch "${status}"
     exit "${status}"
 }
 
-run_task 0 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600
+run_task 130 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600

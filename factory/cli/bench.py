@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.defaults import usable_cores
 from factory.cli.groups import CommandGroup
 from factory.cli.options import (
     PLACE,
@@ -187,7 +188,7 @@ def collect(
         for record in records or (base.record,)
         for expert in experts or (base.expert,)
     }
-    machine, processes = describe_machine(), workers or os.cpu_count() or 1
+    machine, processes = describe_machine(), workers or usable_cores()
     with progress_bar("collect", len(variants) * repeats) as tell, temporary_folder() as folder:
         catalog = open_catalog(base, folder, scene_cache())
         paces = bench_collect(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.defaults import LEASE_TTL_S
+from coordinator.defaults import LEASE_TTL_S, usable_cores
 from factory.cli.groups import CommandGroup
 from factory.cli.options import (
     PLACE,
@@ -130,7 +129,7 @@ def start(
     settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s, pullers=pullers, spot_checks=spot_checks)
     require_room(site.state_dir, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        processes, gate_mode = os.cpu_count() or 1, gate_mode if is_new else "skip"
+        processes, gate_mode = usable_cores(), gate_mode if is_new else "skip"
         if rendering is None:
             catalog = open_scenes(plan, site, gate_mode, processes=processes, stop=stop)
         else:
@@ -222,8 +221,19 @@ def _print_end(site: Site, progress: Progress) -> int:
 
 def _print_endpoints(coordinator: Coordinator, plan: Plan, site: Site, guard: Guard | None) -> None:
     """Prints where the coordinator listens, and the command that starts a worker."""
+    from factory.support.listen import split_resolvable
+    from schemas.protocol.address_file import loopback_endpoints
+
     where = "on loopback only" if guard is None else f"for the admitted hosts: {len(guard.admitted())}"
     click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
     tls = "" if guard is None else " --tls DIR"
-    for endpoint in coordinator.reachable:
+    usable, unknown = split_resolvable(coordinator.reachable)
+    for endpoint in usable or loopback_endpoints(coordinator.endpoints):
         click.echo(f"factory worker --cores 2 --connect {endpoint}{tls}")
+    if unknown and not usable:
+        click.echo(
+            f"{', '.join(unknown)} cannot be resolved on this machine, so only its own workers can use the command "
+            "above: for others, create the certificate again with `factory keys host DIR NAME --role coordinator "
+            "--address ADDRESS --renew`, with an address of this machine",
+            err=True,
+        )

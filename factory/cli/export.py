@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +11,7 @@ import click
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from coordinator.defaults import usable_cores
 from factory.cli.options import (
     json_option,
     place_argument,
@@ -130,7 +130,7 @@ def command(
         splits=splits or (),
         episodes=tuple(parse_episodes(episodes)) if episodes else (),
         excluded=tuple(excluded_in(exclude)) if exclude else (),
-        workers=workers or os.cpu_count() or 1,
+        workers=workers or usable_cores(),
         rig=rig,
     )
     if dry_run:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.defaults import usable_cores
 from factory.cli.options import (
     count_option,
     expert_option,
@@ -84,7 +84,7 @@ def command(
     changes = PlanChanges(scenes=(scene,), episodes=episodes, expert=expert, seed=seed)
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_expert(plan.expert)
-    processes = workers or os.cpu_count() or 1
+    processes = workers or usable_cores()
     with stop_on_signals() as (stop, _), tempfile.TemporaryDirectory(prefix="gate-") as folder:
         catalog = open_catalog(plan, Path(folder), scene_cache(), print_building)
         report = try_scene(plan, catalog, min_success=min_success, renderer=renderer, processes=processes, stop=stop)

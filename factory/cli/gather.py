@@ -138,7 +138,7 @@ def _print_joined(report: JoinReport) -> None:
         f"{report.dataset}: {report.gathered} episodes and {report.failed_attempts} failed or returned attempts "
         f"gathered; the dataset has {report.episodes} of {report.planned} episodes"
     )
-    click.echo(f"digest  {report.digest}")
+    click.echo(f"digest  {report.digest or 'none until the missing episodes are generated'}")
     if report.episodes < report.planned:
         click.echo(f"generate the missing episodes with: factory run --out {quoted(report.dataset)}", err=True)
 

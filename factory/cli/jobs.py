@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,9 @@ import click
 from coordinator.ledger.states import JobState
 from factory.cli.groups import CommandGroup
 from factory.cli.options import (
+    Command,
+    collected,
+    connect_option,
     count_option,
     episode_argument,
     filter_option,
@@ -31,6 +35,33 @@ if TYPE_CHECKING:
     from coordinator.ledger.reading.records import JobRecord
     from factory.dataset.site import Site
     from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How an admin request reaches a run. A field has the name of the parameter of its option."""
+
+    ledger: str | None = None
+    """URL of the ledger; `None` for the ledger of the dataset."""
+    connect: tuple[str, ...] = ()
+    """Endpoints of the running coordinator; empty uses those that it has recorded in DIR."""
+    tls: Path | None = None
+    """TLS folder of this host."""
+
+
+def admin_options(command: Command) -> Command:
+    """Adds `--ledger --connect --tls` as `reach`."""
+    command = collected(command, "reach", Reach)
+    for option in (
+        tls_option,
+        connect_option(
+            "Endpoint of the running coordinator, e.g. tls/hub:7447; repeatable. DIR is then not read, and can be `-`. "
+            "Default: the endpoints that the coordinator recorded in DIR, loopback first."
+        ),
+        ledger_option,
+    ):
+        command = option(command)
+    return command
 
 
 @click.group("jobs", cls=CommandGroup)
@@ -134,50 +165,41 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
 @site_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Retry all failed jobs of the run.")
-@ledger_option
-@tls_option
+@admin_options
 @json_option
-def retry(
-    site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
-) -> int:
+def retry(site: Site, episodes: tuple[str, ...], everything: bool, reach: Reach, as_json: bool) -> int:
     """Put failed or cancelled jobs back into the queue.
 
     EPISODES are names or numbers: ep_000001 or 1. Each job gets as many attempts as a new job.
     """
     from schemas.protocol.administration import AdminAction
 
-    return _administer(site, AdminAction.RETRY, episodes, everything, ledger=ledger, tls=tls, as_json=as_json)
+    return _administer(site, AdminAction.RETRY, episodes, everything, reach=reach, as_json=as_json)
 
 
 @command.command("cancel")
 @site_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Cancel all jobs of the run that have not finished.")
-@ledger_option
-@tls_option
+@admin_options
 @json_option
-def cancel(
-    site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
-) -> int:
+def cancel(site: Site, episodes: tuple[str, ...], everything: bool, reach: Reach, as_json: bool) -> int:
     """Cancel jobs that have not finished.
 
     EPISODES are names or numbers: ep_000001 or 1. A worker stops a cancelled job at its next heartbeat.
     """
     from schemas.protocol.administration import AdminAction
 
-    return _administer(site, AdminAction.CANCEL, episodes, everything, ledger=ledger, tls=tls, as_json=as_json)
+    return _administer(site, AdminAction.CANCEL, episodes, everything, reach=reach, as_json=as_json)
 
 
 @command.command("release")
 @site_argument
 @click.argument("hosts", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Release all barred and limited hosts.")
-@ledger_option
-@tls_option
+@admin_options
 @json_option
-def release(
-    site: Site, hosts: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
-) -> int:
+def release(site: Site, hosts: tuple[str, ...], everything: bool, reach: Reach, as_json: bool) -> int:
     """Allow barred or limited HOSTS to receive jobs again.
 
     HOSTS are host names as printed by `factory status`. A host is limited to one job at a time, then barred,
@@ -190,7 +212,7 @@ def release(
     if bool(hosts) == everything:
         raise UsageError("give either HOSTS, as `factory status` prints them, or --all")
     request = AdminRequest(action=AdminAction.RELEASE, hosts=tuple(require_host_name(name) for name in hosts))
-    reply = _ask(site, request, ledger, tls)
+    reply = _ask(site, request, reach)
     if as_json:
         print_json(reply.model_dump(mode="json"))
     else:
@@ -202,37 +224,34 @@ def release(
 
 @command.command("pause")
 @site_argument
-@ledger_option
-@tls_option
+@admin_options
 @json_option
-def pause(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+def pause(site: Site, reach: Reach, as_json: bool) -> None:
     """Lease no more jobs until the run is resumed.
 
     Running jobs continue. The pause survives a restart of the coordinator.
     """
     from schemas.protocol.administration import AdminAction
 
-    _switch(site, AdminAction.PAUSE, f"paused {site}", ledger=ledger, tls=tls, as_json=as_json)
+    _switch(site, AdminAction.PAUSE, f"paused {site}", reach=reach, as_json=as_json)
 
 
 @command.command("resume")
 @site_argument
-@ledger_option
-@tls_option
+@admin_options
 @json_option
-def resume(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+def resume(site: Site, reach: Reach, as_json: bool) -> None:
     """Lease jobs of a paused run again."""
     from schemas.protocol.administration import AdminAction
 
-    _switch(site, AdminAction.RESUME, f"resumed {site}", ledger=ledger, tls=tls, as_json=as_json)
+    _switch(site, AdminAction.RESUME, f"resumed {site}", reach=reach, as_json=as_json)
 
 
 @command.command("drain")
 @site_argument
-@ledger_option
-@tls_option
+@admin_options
 @json_option
-def drain(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> None:
+def drain(site: Site, reach: Reach, as_json: bool) -> None:
     """Let every worker finish its current jobs and exit.
 
     Workers that are started later exit, too, until the coordinator is restarted.
@@ -240,16 +259,14 @@ def drain(site: Site, ledger: str | None, tls: Path | None, as_json: bool) -> No
     from schemas.protocol.administration import AdminAction
 
     effect = f"the workers of {site} finish their current jobs and exit"
-    _switch(site, AdminAction.DRAIN, effect, ledger=ledger, tls=tls, as_json=as_json)
+    _switch(site, AdminAction.DRAIN, effect, reach=reach, as_json=as_json)
 
 
-def _switch(
-    site: Site, action: AdminAction, effect: str, *, ledger: str | None, tls: Path | None, as_json: bool
-) -> None:
+def _switch(site: Site, action: AdminAction, effect: str, *, reach: Reach, as_json: bool) -> None:
     from factory.support.terminal import print_result, print_text
     from schemas.protocol.administration import AdminRequest
 
-    reply = _ask(site, AdminRequest(action=action), ledger, tls)
+    reply = _ask(site, AdminRequest(action=action), reach)
     print_result(reply, as_json, lambda _: print_text(effect))
 
 
@@ -259,8 +276,7 @@ def _administer(
     names: tuple[str, ...],
     everything: bool,
     *,
-    ledger: str | None,
-    tls: Path | None,
+    reach: Reach,
     as_json: bool,
 ) -> int:
     from factory.dataset.episode_names import episode_index
@@ -272,20 +288,21 @@ def _administer(
     if len(names) > MAX_INDICES:
         raise UsageError(f"{len(names)} episodes were given; give at most {MAX_INDICES}, or --all")
     request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
-    reply = _ask(site, request, ledger, tls)
+    reply = _ask(site, request, reach)
     print_result(reply, as_json, lambda reply: _print_reply(reply, action))
     return 1 if reply.refused else 0
 
 
-def _ask(site: Site, request: AdminRequest, ledger: str | None, tls: Path | None) -> AdminReply:
+def _ask(site: Site, request: AdminRequest, reach: Reach) -> AdminReply:
     from coordinator.admin import administer
     from coordinator.protocol.tls import read_credentials
+    from factory.support.listen import require_endpoints
 
-    now = datetime.now(UTC)
-    if tls is None:
-        return administer(site.state_dir, request, now, ledger)
-    files, name = read_credentials(tls)
-    return administer(site.state_dir, request, now, ledger, name=name, tls=files)
+    require_endpoints(reach.connect, with_tls=reach.tls is not None)
+    more: dict[str, Any] = {}
+    if reach.tls is not None:
+        more["tls"], more["name"] = read_credentials(reach.tls)
+    return administer(site.state_dir, request, datetime.now(UTC), reach.ledger, connect=reach.connect, **more)
 
 
 def _print_reply(reply: AdminReply, action: AdminAction) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from coordinator.defaults import MAX_PULLERS, pullers_for
+from coordinator.defaults import MAX_PULLERS, pullers_for, usable_cores
 from factory.dataset.site import Site, dataset_directory, site_of
 from factory.runs.gate_mode import GATE_ATTEMPTS, MIN_EPISODES_FOR_GATE, MIN_SUCCESS, GateMode
 from factory.runs.plan_changes import PlanChanges
@@ -349,7 +349,7 @@ def pullers_option() -> Callable[[Command], Command]:
     return click.option(
         "--pullers",
         type=click.IntRange(1, MAX_PULLERS),
-        default=lambda: pullers_for(os.cpu_count() or 1),
+        default=lambda: pullers_for(usable_cores()),
         metavar="N",
         help="Number of bundles that are transferred and validated at a time, each in a process. Default: one per "
         "core, at least 2.",
@@ -426,7 +426,7 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     )
 
 
-def _collected(command: Command, name: str, kind: type[PlanChanges] | type[HttpOptions]) -> Command:
+def collected(command: Command, name: str, kind: type[Any]) -> Command:
     """Passes the parameters that are fields of `kind` to a command as one value with the name `name`."""
     names = [field.name for field in fields(kind)]
 
@@ -440,7 +440,7 @@ def _collected(command: Command, name: str, kind: type[PlanChanges] | type[HttpO
 
 def shrink_options(command: Command) -> Command:
     """Adds `--scene --episodes --expert --seed --record --rig --appearance` as `changes`: changes of a plan."""
-    command = _collected(command, "changes", PlanChanges)
+    command = collected(command, "changes", PlanChanges)
     for option in (
         appearance_option("Default: the plan's."),
         rig_option("Sensor rig: a built-in name or a TOML file; `paper` is the recorded camera. Default: the plan's."),
@@ -457,17 +457,31 @@ def shrink_options(command: Command) -> Command:
 
 
 def http_options(command: Command) -> Command:
-    """Adds `--http HOST:PORT --http-token FILE` as `pages`."""
-    return _http_options(_collected(command, "pages", HttpOptions))
+    """Adds `--http HOST:PORT --http-token FILE --host-name NAME` as `pages`."""
+    return _http_options(collected(command, "pages", HttpOptions))
 
 
 def run_http_options(command: Command) -> Command:
-    """Adds `--http HOST:PORT --http-token FILE --eval DIR` of a run as `pages`."""
-    return _http_options(evaluations_option(_collected(command, "pages", HttpOptions)))
+    """Adds `--http HOST:PORT --http-token FILE --host-name NAME --eval DIR` of a run as `pages`."""
+    return _http_options(evaluations_option(collected(command, "pages", HttpOptions)))
+
+
+def host_name_option(command: Command) -> Command:
+    """`--host-name NAME`, repeatable, as `host_names`."""
+    return click.option(
+        "--host-name",
+        "host_names",
+        multiple=True,
+        metavar="NAME",
+        callback=_split_commas,
+        help="Name under which clients reach the pages, e.g. of an ingress or a service; repeatable. Requests "
+        "for other names are refused with 421. Default: loopback names and the address of --http.",
+    )(command)
 
 
 def _http_options(command: Command) -> Command:
     for option in (
+        host_name_option,
         click.option(
             "--http-token",
             type=click.Path(path_type=Path, dir_okay=False),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import click
 
+from coordinator.defaults import usable_cores
 from factory.cli.options import dataset_argument, json_option, workers_option, write_option
 from schemas.errors import UsageError
 
@@ -77,7 +77,7 @@ def command(
         file = cache or Path(f"{reference}.paraphrases.json")
         spec, paraphrases = (kept, None) if kept else with_paraphrases(spec, Endpoint(url, model, timeout_s), file)
     with stop_on_signals() as (stop, _), one_bar("episodes") as on_progress:
-        report = relabel(root, out, spec, workers=workers or os.cpu_count() or 1, on_progress=on_progress, stop=stop)
+        report = relabel(root, out, spec, workers=workers or usable_cores(), on_progress=on_progress, stop=stop)
     if not report.finished:
         click.echo(
             f"interrupted after about {report.episodes} episodes; run the same command again to continue", err=True

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.defaults import usable_cores
 from factory.cli.options import (
     appearance_option,
     json_option,
@@ -73,7 +73,7 @@ def command(
                 plan=rendering.plan,
                 catalog=rendering.catalog,
                 root=out.state_dir,
-                workers=workers or os.cpu_count() or 1,
+                workers=workers or usable_cores(),
                 renderer=renderer,
                 verbose=verbose,
                 gate=rendering.dataset.meta.gate,

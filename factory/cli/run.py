@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from coordinator.defaults import usable_cores
 from factory.cli.options import (
     PLACE,
     SHARD,
@@ -199,7 +199,7 @@ def _execute(
     ledger, renderer = options["ledger_url"], options["renderer"]
     shard = choose_shard(site, shard, plan, ledger, is_new=is_new)
     gate_mode = "skip" if not is_new or (shard is not None and gate_mode == "auto") else gate_mode
-    processes = workers or os.cpu_count() or 1
+    processes = workers or usable_cores()
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_signals())
         catalog = open_scenes(
@@ -334,7 +334,7 @@ def _run(
     from factory.runs.summary import RunBar
 
     recorder = None if run.shard is None else ShardRecorder(site, run.shard, run.plan, run.catalog)
-    with RunBar(run.plan) as bar:
+    with RunBar(run.plan, run.shard) as bar:
 
         def on_progress(progress: Progress) -> None:
             bar.show(progress)

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.options import evaluations_option, ledger_option, site_argument, tls_option, verbose_option
+from factory.cli.options import (
+    evaluations_option,
+    host_name_option,
+    ledger_option,
+    site_argument,
+    tls_option,
+    verbose_option,
+)
 from schemas.errors import UsageError
 from schemas.storage.dataset_files import EPISODES, is_dataset
 from schemas.support.extras import require_package
@@ -36,6 +43,7 @@ _DEFAULT = "127.0.0.1:8080"
     help="File whose first line is the token that every request requires. Default: a random token, "
     "required only for requests that change something.",
 )
+@host_name_option
 @evaluations_option
 @tls_option
 @ledger_option
@@ -44,6 +52,7 @@ def command(
     site: Site,
     http: str,
     http_token: Path | None,
+    host_names: tuple[str, ...],
     evaluations: tuple[Path, ...],
     tls: Path | None,
     ledger: str | None,
@@ -74,9 +83,18 @@ def command(
         read_manifest(folder)  # raises its errors before the server starts
     token = read_token(http_token) if http_token is not None else None
     if is_folder:
-        served = serve_folder(site.state_dir, http, token, tls)
+        served = serve_folder(site.state_dir, http, token, tls, host_names)
     else:
-        served = serve(site, http, token, tls=tls, ledger=ledger, evaluations=evaluations, renders_ahead=True)
+        served = serve(
+            site,
+            http,
+            token,
+            tls=tls,
+            ledger=ledger,
+            evaluations=evaluations,
+            renders_ahead=True,
+            host_names=host_names,
+        )
     with served as url, stop_on_signals() as (stop, _):
         click.echo(f"web page of {site}: {url}")
         stop.wait()

@@ -59,7 +59,8 @@ def command(
 ) -> int:
     """Simulate jobs of a coordinator on this host.
 
-    The worker exits when the run has finished. On SIGTERM it returns its running jobs to the coordinator and exits.
+    The worker exits with 0 when the run has finished. On SIGTERM it returns its running jobs to the coordinator and
+    exits with 130.
     """
     from coordinator.protocol.tls import read_credentials
     from coordinator.validation.validator import Validator

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from coordinator.defaults import usable_cores
 from factory.dataset.reader import Dataset
 from factory.eval.driving.live_view import live_appearance, require_live
 from factory.eval.models.messages import EvalSetup
@@ -89,7 +89,7 @@ def make_campaign(options: EvalOptions, drives_here: bool = True) -> Campaign:
         references=references,
         variants=(Variant.ORIGINAL, *ABLATIONS) if options.ablate_language else (Variant.ORIGINAL,),
         setup=setup,
-        processes=min(options.workers or os.cpu_count() or 1, len(specs.specs)),
+        processes=min(options.workers or usable_cores(), len(specs.specs)),
         with_pose=options.with_pose,
     )
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from coordinator.archive.staging import is_held
 from coordinator.ledger.database.engine import has_writer
-from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
-from coordinator.ledger.reading.progress import read_progress
+from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, recorded_ledger
+from coordinator.ledger.reading.progress import read_progress, without_coordinator
 from coordinator.ledger.reading.reader import Connection, open_ledger
 from factory.dataset.site import Site
 from schemas.dataset.meta import read_dataset_meta
@@ -31,6 +31,7 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
         UsageError: The directory does not exist, or this machine has no state directory for the URL.
         WorldError: The directory has no ledger.
     """
+    place = ledger_url_of(site.state_dir, url)
     if url is None and not site.state_dir.is_dir():
         begin = f"start a run with `factory run demo --out {quoted(site)}`"
         if site.store is None:
@@ -54,7 +55,7 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
             f"{quoted(site)}`, or continue "
             "the run with the command that started it"
         )
-    return open_ledger(ledger_url_of(site.state_dir, url))
+    return open_ledger(place)
 
 
 def plan_of(site: Site) -> Plan | None:
@@ -92,7 +93,7 @@ def shard_of(site: Site, url: str | None = None) -> RunShard | None:
 
 
 def _noted_plan(state_dir: Path) -> Plan | None:
-    if not (state_dir / LEDGER_FILE).is_file():
+    if not (state_dir / LEDGER_FILE).is_file() or recorded_ledger(state_dir):
         return None
     try:
         with open_ledger(ledger_url_of(state_dir)) as connection:
@@ -163,7 +164,4 @@ def progress_in(connection: Connection, site: Site, url: str | None = None) -> P
     shards = len(shard_places(site.place))
     progress = read_progress(connection, datetime.now(UTC)).model_copy(update={"shards": shards})
     has_coordinator = is_held(site.state_dir) if url is None else has_writer(connection)
-    if has_coordinator is not False:
-        return progress
-    gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)
-    return progress.model_copy(update={"workers": gone})
+    return without_coordinator(connection, progress) if has_coordinator is False else progress

@@ -67,7 +67,8 @@ def draw_progress(progress: Progress) -> Group:
     done = progress.jobs.get("archived", 0)
     rate = "-" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
     left = "finished" if progress.finished else f"ETA {format_duration(progress.eta_s)}"
-    head = f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, {left}"
+    pace = "" if progress.stopped_at is not None else f", {rate}, {left}"
+    head = f"{progress.run}: {done} of {progress.planned} episodes archived{pace}"
     tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
     is_waiting = progress.paused and not progress.finished
     paused = [Text("paused; continue with `factory jobs resume DIR`", style="yellow")] if is_waiting else []
@@ -82,8 +83,18 @@ def draw_progress(progress: Progress) -> Group:
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
     hosts = map(_describe_host, progress.hosts)
     sandbox = _describe_sandbox(progress.sandbox)
-    top = (Text(head, style="bold"), *paused, *layouts, *away, *packed)
+    mixed = [Text(f"made by {' and then '.join(progress.versions)}", style="yellow")] if progress.versions[1:] else []
+    stopped = [Text(why_stopped(progress), style="yellow")] if progress.stopped_at is not None else []
+    top = (Text(head, style="bold"), *stopped, *paused, *mixed, *layouts, *away, *packed)
     return Group(*top, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
+
+
+def why_stopped(progress: Progress) -> str:
+    """Returns the sentence about a run without a coordinator; empty if one runs."""
+    if progress.stopped_at is None:
+        return ""
+    since = f"{progress.stopped_at:%Y-%m-%d %H:%M:%S} UTC"
+    return f"No coordinator is running since {since}; continue with the command that started the run"
 
 
 def _describe_sandbox(layers: tuple[str, ...]) -> list[Text]:

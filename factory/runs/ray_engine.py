@@ -6,6 +6,7 @@ The coordinator stays in the process of `factory run`. Each node gets a certific
 from __future__ import annotations
 
 import logging
+import secrets
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -19,7 +20,7 @@ import structlog
 
 from coordinator.protocol.tls import Guard
 from factory.keys import admit, create_authority
-from factory.runs.ray_worker import RayWorker
+from factory.runs.ray_worker import PREFIX, RayWorker, Scratch, memory_folder, remove_stale
 from schemas.errors import UsageError, WorldError
 from schemas.protocol.identity import Role
 from schemas.protocol.reachability import why_unreachable
@@ -28,6 +29,7 @@ from schemas.support.extras import require_package
 from schemas.terms import RendererKind
 
 _DAYS = 30
+_MOST_CHARS = 200
 _QUERY_PAUSE_S = 2.0
 """Pause between two queries for the nodes of the cluster, seconds."""
 _MOST_DEATHS = 8
@@ -133,7 +135,7 @@ class RayCluster(Closing):
         try:
             return int(self._ray.get(task))
         except self._ray.exceptions.RayError as error:
-            return str(error).splitlines()[0]
+            return (str(error).splitlines() or [type(error).__name__])[0][:_MOST_CHARS]
 
     def _start(self, node_id: str, cores: int) -> _Node:
         name = f"ray-{node_id[:12]}"
@@ -183,9 +185,11 @@ def _contents(folder: Path) -> Mapping[str, bytes]:
 
 @contextmanager
 def open_cluster(address: str | None, cores: int | None, renderer: RendererKind) -> Iterator[RayCluster]:
-    """Connects to a Ray cluster while the context is open. The certificates are in a temporary folder."""
+    """Connects to a Ray cluster while the context is open. The authority and the certificates are in memory, in a
+    folder that the next start removes if this process is killed."""
+    remove_stale(Path(tempfile.gettempdir()))  # folders of older versions, and of workers on this machine
     with (
-        tempfile.TemporaryDirectory(prefix="minivla-ray-") as keys,
-        RayCluster(address, Path(keys) / "pki", cores, renderer) as cluster,
+        Scratch(f"{PREFIX}{secrets.token_hex(6)}", memory_folder()) as keys,
+        RayCluster(address, keys.path / "pki", cores, renderer) as cluster,
     ):
         yield cluster

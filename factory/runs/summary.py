@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 from factory.dataset.reader import Dataset
 from factory.support.terminal import Bars, print_table, print_text
 from factory.support.text import format_duration
+from schemas.dataset.run_shard import RunShard
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
 from schemas.storage.place import Place
@@ -23,9 +24,10 @@ _WORDS = {str(FailReason.RELEASED): "returned"}
 class RunBar(Bars):
     """Progress bar of a run: episodes, rate, time left, running jobs and failed attempts."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, shard: RunShard | None = None) -> None:
         super().__init__()
-        self._task = self.add_task(plan.name, total=plan.episodes)
+        total = plan.episodes if shard is None else len(shard.numbers(plan.episodes))
+        self._task = self.add_task(plan.name, total=total)
 
     def show(self, progress: Progress) -> None:
         """Updates the bar."""

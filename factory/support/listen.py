@@ -6,7 +6,7 @@ Opens no socket.
 from __future__ import annotations
 
 import importlib.util
-import ipaddress
+import socket
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from coordinator.options import DEFAULT_LISTEN
 from coordinator.protocol.tls import Guard
 from factory.keys.authority import addresses_of
 from schemas.errors import UsageError
+from schemas.protocol.address_file import is_loopback_name
+from schemas.protocol.reachability import split_endpoint
 
 _TLS_LISTEN = ("tls/0.0.0.0:7447",)
 
@@ -26,7 +28,7 @@ def require_loopback(endpoints: Sequence[str]) -> None:
     """
     for endpoint in endpoints:
         host = _host_of(endpoint, "tcp")
-        if host != "localhost" and not _is_loopback(host):
+        if not is_loopback_name(host):
             raise UsageError(
                 f"{endpoint} is reachable from other machines: without --tls, only loopback addresses are allowed. "
                 "Create certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
@@ -78,6 +80,18 @@ def find_hosts(guard: Guard) -> tuple[str, ...]:
     return addresses_of(guard.files.certificate.read_bytes())
 
 
+def split_resolvable(endpoints: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Returns the endpoints whose host this machine can resolve, and the others."""
+    usable, unknown = [], []
+    for endpoint in endpoints:
+        try:
+            socket.getaddrinfo(split_endpoint(endpoint)[1], None)
+            usable.append(endpoint)
+        except OSError:
+            unknown.append(endpoint)
+    return tuple(usable), tuple(unknown)
+
+
 def _host_of(endpoint: str, wanted: str) -> str:
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
@@ -87,10 +101,3 @@ def _host_of(endpoint: str, wanted: str) -> str:
     if protocol != wanted or not host or not port.isdigit() or int(port) > 65535:
         raise UsageError(f"{endpoint!r} is not a valid endpoint; example: {wanted}/127.0.0.1:7447")
     return host.strip("[]")
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Any, TypeVar
 
 import click
@@ -219,19 +220,20 @@ class Bars(Progress):
                 of = f"{task.description}: " if len(tasks) > 1 else ""
                 yield Text(f"  {of}{task.fields['note']}", overflow="fold", no_wrap=False)
 
-    def _table(self, tasks: Iterable[Task], bar_width: int | None, with_notes: bool = False) -> Table:
-        """Returns the lines as a table; without bars when `bar_width` is `None`."""
+    def _table(self, tasks: Iterable[Task], bar_width: int | None, with_notes: bool = False, stamp: str = "") -> Table:
+        """Returns the lines as a table; without bars when `bar_width` is `None`, and after a time if one is given."""
         self._bar.bar_width = bar_width
         description = TextColumn("{task.description}", table_column=Column(overflow="fold"))
         columns: list[ProgressColumn] = [description, *((self._bar,) if bar_width else ()), *self._counts]
         if with_notes:
             columns.append(TextColumn("{task.fields[note]}"))
         table = Table.grid(
-            *(replace(column.get_table_column(), no_wrap=column is not description) for column in columns)
+            *((Column(no_wrap=True),) if stamp else ()),
+            *(replace(column.get_table_column(), no_wrap=column is not description) for column in columns),
         )
         table.padding = (0, 1)
         for task in tasks:
-            table.add_row(*(column(task) for column in columns))
+            table.add_row(*((stamp,) if stamp else ()), *(column(task) for column in columns))
         return table
 
     def _print_line(self) -> None:
@@ -241,7 +243,8 @@ class Bars(Progress):
         self._last_line_at = now
         under_way = [task for task in self.tasks if task.started and not task.finished and task.total]
         if under_way:
-            self.console.print(self._table(under_way, None, with_notes=True))
+            stamp = f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
+            self.console.print(self._table(under_way, None, with_notes=True, stamp=stamp))
 
 
 @contextmanager

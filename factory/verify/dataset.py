@@ -7,7 +7,6 @@ several processes if that saves more time than their start takes.
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -20,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
+from coordinator.defaults import usable_cores
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.cells import planned_cells
 from coordinator.tables.card import names_split_tables
@@ -66,7 +66,7 @@ def run_checks(checks: Iterator[EpisodeCheck], processes: int | None) -> Iterato
         processes: Number of processes; 1 runs in the calling process. `None` uses the result of `useful_processes`.
     """
     batch = list(islice(checks, _ROWS_AT_A_TIME))
-    count = min(useful_processes(batch, os.cpu_count() or 1) if processes is None else processes, len(batch))
+    count = min(useful_processes(batch, usable_cores()) if processes is None else processes, len(batch))
     if count <= 1:
         yield from map(check_episode, chain(batch, checks))
         return

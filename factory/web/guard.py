@@ -81,7 +81,10 @@ class RequestGuard:
             return _plain(414, f"the query is longer than {MOST_QUERY_BYTES} bytes")
         host = headers.get("host", "")
         if not is_own_name(host, self._address):
-            return _plain(421, f"{host[:80]!r} is not an address of this server: use the URL that it prints at start")
+            text = (
+                f"{host[:80]!r} is not a name of this server: use the URL that it prints, or start it with --host-name"
+            )
+            return _plain(421, text)
         return self._refused_change(scope, headers) if method == "POST" else self._refused_read(scope, path)
 
     def _refused_change(self, scope: Scope, headers: Headers) -> Response | None:

@@ -17,5 +17,7 @@ class HttpOptions:
     """HOST:PORT to serve on; `None` serves no pages."""
     http_token: Path | None = None
     """File whose first line is the token of the pages; `None` serves them without a token."""
+    host_names: tuple[str, ...] = ()
+    """Names of the server besides its address, for the `Host` header of requests."""
     evaluations: tuple[Path, ...] = ()
     """Output directories of `factory eval` to show on the web page of a run."""

@@ -38,13 +38,15 @@ def status_pages(source: StatusSource, options: HttpOptions) -> Iterator[None]:
     """
     if options.http is None and options.http_token is not None:
         raise UsageError("--http-token requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
+    if options.http is None and options.host_names:
+        raise UsageError("--host-name requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
     if options.http is None:
         yield
         return
     from coordinator.status.server import StatusServer  # needs an extra
 
     token = _token_of(options)
-    with StatusServer(parse_address(options.http, token), source, token) as server:
+    with StatusServer(parse_address(options.http, token, names=options.host_names), source, token) as server:
         click.echo(f"status pages on {server.url}/metrics", err=True)
         yield
 
@@ -83,6 +85,7 @@ def run_pages(coordinator: Coordinator, site: Site, options: HttpOptions, ledger
         administer=coordinator.administer,
         more_routes=routes(coordinator.health),
         evaluations=options.evaluations,
+        host_names=options.host_names,
     ) as url:
         click.echo(f"web page and /metrics: {url}", err=True)
         yield

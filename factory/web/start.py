@@ -54,6 +54,7 @@ def serve(
     evaluations: Sequence[Path] = (),
     *,
     renders_ahead: bool = False,
+    host_names: Sequence[str] = (),
 ) -> Iterator[str]:
     """Serves the web page of a dataset while the context is open; yields its URL, with the token if it was generated.
 
@@ -69,12 +70,13 @@ def serve(
         evaluations: directories of `factory eval -o`.
         renders_ahead: whether to render a frame of each of the first scenes of a states dataset immediately, so
             the first viewer does not wait for a rendering process and its scenes; false during a run.
+        host_names: names of the server besides its address.
 
     Raises:
         UsageError: the address is malformed, or other machines can reach it without a token and without TLS.
         WorldError: the address is in use.
     """
-    address = parse_address(http, token, is_encrypted=tls is not None)
+    address = parse_address(http, token, is_encrypted=tls is not None, names=host_names)
     access = Access(token or secrets.token_urlsafe(24), reads_openly=token is None)
     workspace, statistics = Workspace(site, ledger), StatisticsStore(str(site))
     ask = administer or _administrator(site, ledger, tls)
@@ -86,12 +88,14 @@ def serve(
 
 
 @contextmanager
-def serve_folder(folder: Path, http: str, token: str | None, tls: Path | None = None) -> Iterator[str]:
+def serve_folder(
+    folder: Path, http: str, token: str | None, tls: Path | None = None, host_names: Sequence[str] = ()
+) -> Iterator[str]:
     """Serves the web pages of all datasets in a folder while the context is open; yields the URL of their list.
 
     Datasets that appear in the folder are listed, too. Arguments and errors are those of `serve`.
     """
-    address = parse_address(http, token, is_encrypted=tls is not None)
+    address = parse_address(http, token, is_encrypted=tls is not None, names=host_names)
     access = Access(token or secrets.token_urlsafe(24), reads_openly=token is None)
 
     def open_context(directory: Path, base: str, thumbnails: ThumbnailStore) -> WebContext:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from coordinator.archive.staging import is_held
 from coordinator.ledger.builds import unbuilt_layouts
 from coordinator.ledger.database.engine import sqlite_files
-from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info
+from coordinator.ledger.opening import LedgerInfo, ledger_url_of, read_info, recorded_ledger
 from coordinator.ledger.reading.failures import FailedPlace, count_failures, read_failures
 from coordinator.ledger.reading.farm import FarmReading, read_farm
 from factory.dataset.packages import packages_by_scene
@@ -244,8 +244,9 @@ class Workspace:
 
     def ledger_health(self) -> str:
         """Returns kind and size of the ledger, and whether a coordinator writes to it."""
-        if self.ledger is not None:
-            return f"{self.ledger.partition('://')[0]} database"
+        elsewhere = self.ledger or recorded_ledger(self.site.state_dir)
+        if elsewhere:
+            return f"{elsewhere.partition('://')[0]} database"
         sizes = [path.stat().st_size for path in sqlite_files(ledger_url_of(self.site.state_dir)) if path.exists()]
         writer = "a coordinator writes to it" if self.is_written() else "no coordinator writes to it"
         return f"{format_bytes(sum(sizes))}, {writer}"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
-from schemas.protocol.messages import MAX_MESSAGE_BYTES, PROTOCOL
+from schemas.protocol.messages import KEY_LAYOUT, MAX_MESSAGE_BYTES
 
 MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
 """Largest size of the ranges in one reply, bytes."""
@@ -66,7 +66,7 @@ class BundleRange(NamedTuple):
 
 
 def _root(run: str) -> str:
-    return f"factory/{run}/v{PROTOCOL}"
+    return f"factory/{run}/v{KEY_LAYOUT}"
 
 
 def verb_key(run: str, host: str, verb: Verb) -> str:

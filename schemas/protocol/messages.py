@@ -13,11 +13,17 @@ from pydantic import FailFast, Field
 
 from schemas.base import Bytes, Count, Line, Model, Name, NonNegative, Ordinal, Positive, RowId, Sha256, Text
 from schemas.job import Job
-from schemas.protocol.identity import HOST_PATTERN
+from schemas.protocol.identity import HOST_PATTERN, Role
 from schemas.terms import FailReason
 
-PROTOCOL = 1
-"""Version of keys and messages; it is part of every key."""
+KEY_LAYOUT = 1
+"""Version of the keys; it is part of every key. It stays, so peers of all versions reach each other and can refuse."""
+PROTOCOL = 2
+"""Version of the messages, which a peer states when it registers. A change of any message increases it."""
+FIRST_PROTOCOL = 1
+"""Version of the messages of peers that state none."""
+MAX_PROTOCOL = 1_000_000
+"""Largest version of the messages that is read."""
 MAX_MESSAGE_BYTES = 1 << 20
 """Largest size of a message, bytes."""
 MAX_EVAL_TASK_CHARS = 1 << 18
@@ -44,6 +50,7 @@ Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 Version = Annotated[str, Field(pattern=r"^[!-~]{0,40}$")]
 Detail = Annotated[str, Field(max_length=MAX_DETAIL_CHARS, pattern=r"^[^\x00]*$")]
 """Explanation of a failure or refusal; without NUL, which PostgreSQL cannot store."""
+ProtocolNumber = Annotated[int, Field(ge=FIRST_PROTOCOL, le=MAX_PROTOCOL)]
 RouterId = Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
 """Zenoh id of a session that accepts connections, such as that of a gateway."""
 
@@ -51,6 +58,15 @@ RouterId = Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
 def cut_detail(text: str) -> str:
     """Returns a text as a valid detail: without NUL, and truncated to `MAX_DETAIL_CHARS`."""
     return text.replace("\0", "")[:MAX_DETAIL_CHARS]
+
+
+class Greeting(Model, extra="ignore"):
+    """What a registration of any version says about its sender: read before the rest, which may be unknown here."""
+
+    version: Version = ""
+    """Version of minivla-factory of the sender."""
+    protocol: ProtocolNumber = FIRST_PROTOCOL
+    """Version of its messages."""
 
 
 States = Annotated[str, Field(max_length=MAX_STATES_CHARS)]
@@ -89,6 +105,8 @@ class Hello(Model):
     """Number of simulations that the worker runs at a time."""
     version: Version
     """Version of minivla-factory on the worker."""
+    protocol: ProtocolNumber = PROTOCOL
+    """Version of the messages of the worker."""
 
 
 class HelloReply(Model):
@@ -257,18 +275,25 @@ class Fail(Model):
 
 
 class Ping(Model):
-    """Check that a coordinator answers; the reply is an `Ack` without information about the run."""
+    """Check that a coordinator answers; the reply is a `Pong` without information about the run."""
+
+
+class Pong(Model):
+    """Reply to `ping`."""
+
+    role: Role | None = None
+    """Role of the sender in the admission list of the coordinator; null without TLS."""
 
 
 class Ack(Model):
-    """Reply to `done`, `fail` and `ping`."""
+    """Reply to `done` and `fail`."""
 
     accepted: bool
-    """Whether the lease was still valid; always true for `ping`."""
+    """Whether the lease was still valid."""
 
 
 class Refusal(Model):
-    """Reply to a message that cannot be served."""
+    """Reply to a message that cannot be served; the same in all versions, so every peer can read it."""
 
     error: Text
     """Reason of the refusal."""

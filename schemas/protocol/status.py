@@ -83,13 +83,18 @@ class Progress(Model):
     """Number of shards of the dataset; 0 if no episode is packed."""
     episodes_per_hour: NonNegative | None
     """Rate of archived episodes since the coordinator started, over at most ten minutes, 1/h; `None` until it can
-    be known."""
+    be known, and while no worker is alive."""
     eta_s: NonNegative | None
     """Time to the end at the rate of the last two minutes, seconds; `None` if unknown, 0 if finished."""
+    stopped_at: datetime | None = None
+    """Last recorded activity of an unfinished run without a coordinator, UTC; `None` if one runs, or if that cannot be
+    known."""
     finished: bool
     """Whether no job can change its state without a `retry`."""
     paused: bool = False
     """Whether no job is leased until an operator resumes the run."""
+    versions: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
+    """Versions of minivla-factory that have run the coordinator, oldest first; empty in a ledger that records none."""
     sandbox: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
     """Sandbox mechanisms of the coordinator's validation processes, e.g. `seccomp`; empty before the first bundle."""
 

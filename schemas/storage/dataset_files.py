@@ -6,6 +6,8 @@ from pathlib import Path
 
 EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quarantine"
 LEDGER_FILE = "ledger.db"
+LEDGER_PLACE_FILE = "ledger.json"
+"""File beside the dataset that names the ledger, if it is not `ledger.db` there."""
 METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"
 SHARDS_FILE = "shards.parquet"
 INSTRUCTIONS_FILE, RELABEL_FILE = "instructions.parquet", "relabel.json"

@@ -23,6 +23,36 @@ def product_version() -> str:
     return f"{version(PRODUCT)}+{source_digest(Path(__file__).parents[2])[:_DIGITS]}"
 
 
+def why_refused(peer: str, theirs: str, their_protocol: int, *, mine: str, my_protocol: int) -> str:
+    """Returns why a peer of another version is refused: both versions, which side is older, and what to do.
+
+    Args:
+        peer: the peer, such as `worker node-07.1`.
+        theirs: version of the peer.
+        their_protocol: version of the messages of the peer.
+        mine: version of the coordinator.
+        my_protocol: version of the messages of the coordinator.
+    """
+    found = f"{peer} runs minivla-factory {theirs or 'of unknown version'}, the coordinator {mine}"
+    if their_protocol != my_protocol:
+        found += f", with protocol {their_protocol} and {my_protocol}"
+    role = peer.partition(" ")[0]
+    install = f"install {mine} for the {role}"
+    their_age, my_age = (their_protocol, _release(theirs)), (my_protocol, _release(mine))
+    if their_age < my_age:
+        return f"{found}; the {role} is older: {install}"
+    if their_age > my_age:
+        return (
+            f"{found}; the coordinator is older: {install}, or stop the coordinator, install {theirs} there and start "
+            "it again"
+        )
+    return f"{found}; the release is the same, the source differs: {install} (`factory --version` prints the version)"
+
+
+def _release(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.partition("+")[0].split(".") if part.isdecimal())
+
+
 def source_digest(root: Path) -> str:
     """Returns the SHA-256 of the names and contents of the source files of the packages in a folder."""
     digest = hashlib.sha256()

@@ -8,7 +8,7 @@ import pwd
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -35,13 +35,21 @@ def why_no_postgres() -> str:
 class Postgres:
     """A running server."""
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    def __init__(self, port: int, control: Callable[[str], None] = lambda _: None) -> None:
+        self._port, self._control = port, control
         self._numbers = itertools.count(1)
 
     def url(self, database: str) -> str:
         """Returns the URL of a database."""
         return f"postgresql+psycopg://{_USER}@127.0.0.1:{self._port}/{database}"
+
+    def stop(self) -> None:
+        """Stops the server at once, which ends all connections."""
+        self._control("stop")
+
+    def start(self) -> None:
+        """Starts the server again after `stop`."""
+        self._control("start")
 
     def new_database(self) -> str:
         """Creates an empty database and returns its URL."""
@@ -70,11 +78,17 @@ def postgres() -> Iterator[Postgres]:
         command = [_tool(str(words[0])) or str(words[0]), *map(str, words[1:])]
         subprocess.run(command, check=True, capture_output=True, env=environment, cwd=folder, **as_user)  # type: ignore[call-overload]
 
+    def control(what: str) -> None:
+        if what == "stop":
+            run("pg_ctl", "stop", "-m", "fast", "-D", data)
+        else:
+            run("pg_ctl", "start", "-w", "-D", data, "-l", folder / "log", "-o", settings)
+
     try:
         run("initdb", "--no-sync", "--auth=trust", "--username", _USER, "--encoding=UTF8", "-D", data)
-        run("pg_ctl", "start", "-w", "-D", data, "-l", folder / "log", "-o", settings)
+        control("start")
         try:
-            yield Postgres(port)
+            yield Postgres(port, control)
         finally:
             run("pg_ctl", "stop", "-m", "immediate", "-D", data)
     finally:

@@ -6,6 +6,7 @@ import signal
 import time
 
 from tests.chaos.cluster import ChaosCluster, fake_commands
+from workers.client.supervisor import STOPPED
 
 
 def test_worker_obeys_sigterm_within_five_seconds_while_the_coordinator_is_frozen(tmp_path):
@@ -17,4 +18,4 @@ def test_worker_obeys_sigterm_within_five_seconds_while_the_coordinator_is_froze
             time.sleep(0.1)
         cluster.coordinator.send_signal(signal.SIGSTOP)
         cluster.workers[0].send_signal(signal.SIGTERM)
-        assert cluster.workers[0].wait(5) == 0
+        assert cluster.workers[0].wait(5) == STOPPED

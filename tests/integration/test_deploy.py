@@ -30,12 +30,13 @@ from factory.cli.main import cli
 from factory.submit.slurm import RUN_TASK
 from tests.builders.ledger import room_catalog, room_plan
 from tests.integration.test_status_pages import ask
+from workers.client.supervisor import STOPPED
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 MANIFESTS = sorted((DEPLOY / "kubernetes").rglob("*.yaml"))
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
 BATCH = json.loads((DEPLOY / "cloud" / "aws_batch.json").read_text())
-OVERLAYS = ("base", "shards", "with-gateway", "workers-as-job")
+OVERLAYS = ("base", "shards", "with-gateway")
 KUBERNETES = "1.33"
 """Version of Kubernetes whose schemas are compared with the manifests."""
 SCRIPTS = sorted(DEPLOY.rglob("*.sh"))
@@ -65,7 +66,7 @@ def command_lines() -> list[tuple[str, list[str]]]:
     for unit in UNITS:
         (line,) = re.findall(r"^ExecStart=\S*/factory (.*)$", unit.read_text(), re.MULTILINE)
         found.append((unit.name, shlex.split(line.replace("${CORES}", "8").replace("${HUB}", "hub:7447"))))
-    (line,) = re.findall(r"^run_task 0 factory (.*)$", (DEPLOY / "slurm" / "workers.sh").read_text(), re.MULTILINE)
+    (line,) = re.findall(r"^run_task 130 factory (.*)$", (DEPLOY / "slurm" / "workers.sh").read_text(), re.MULTILINE)
     found.append(("slurm", shlex.split(line.replace("${cores}", "8"))))
     readme = (DEPLOY / "README.md").read_text()
     for line in re.findall(r"^(?:\w+:\s+)?factory (.*?)\s*(?:#.*)?$", readme, re.MULTILINE):
@@ -138,13 +139,14 @@ def test_kustomize_renders_the_manifests_with_one_image(place, tmp_path):
     image.write_text(re.sub("newName: .*", "newName: registry.example.org/mine", image.read_text()))
     found = rendered(copy / place)
     kinds = sorted(document["kind"] for document in found)
-    base = ["ConfigMap", "Deployment", "Namespace", "NetworkPolicy", "NetworkPolicy", "Service", "StatefulSet"]
-    more = {"workers-as-job": ["Job"], "with-gateway": ["NetworkPolicy", "Service", "StatefulSet"]}.get(place, [])
+    base = ["ConfigMap", "Job", "Namespace", *["NetworkPolicy"] * 2, "PodDisruptionBudget", "Service", "StatefulSet"]
+    more = {"with-gateway": ["NetworkPolicy", "PodDisruptionBudget", "Service", "StatefulSet"]}.get(place, [])
     assert kinds == (["ConfigMap", "Job"] if place == "shards" else sorted([*base, *more]))
     assert {document["metadata"].get("namespace", "minivla") for document in found} == {"minivla"}
-    pods = [one["spec"]["template"]["spec"] for one in found if one["kind"] in {"Deployment", "Job", "StatefulSet"}]
+    pods = [one["spec"]["template"]["spec"] for one in found if one["kind"] in {"Job", "StatefulSet"}]
     images = {container["image"] for pod in pods for container in pod["containers"]}
-    assert images == {"registry.example.org/mine:latest"}
+    project = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
+    assert images == {f"registry.example.org/mine:{project['project']['version']}"}
     for document in found:
         require_valid(document)
 
@@ -162,8 +164,49 @@ def test_components_add_an_external_address_and_a_queue(tmp_path):
     (job,) = [one for one in shards if one["kind"] == "Job"]
     assert job["metadata"]["labels"]["kueue.x-k8s.io/queue-name"] == "minivla"
     assert job["spec"]["suspend"]
+    assert all(one["spec"]["ttlSecondsAfterFinished"] > 0 for one in (*base, *shards) if one["kind"] == "Job")
     for document in (*base, *shards):
         require_valid(document)
+
+
+def outcome_of(job: dict[str, Any], status: int, *, is_disrupted: bool = False) -> str:
+    """Returns the action of the podFailurePolicy of a job for a failed pod, by the rules of Kubernetes."""
+    for rule in job["spec"]["podFailurePolicy"]["rules"]:
+        codes, conditions = rule.get("onExitCodes"), rule.get("onPodConditions", ())
+        if codes is not None and codes["operator"] == "In" and status in codes["values"]:
+            return str(rule["action"])
+        if is_disrupted and any(one == {"type": "DisruptionTarget", "status": "True"} for one in conditions):
+            return str(rule["action"])
+    return "Count"
+
+
+@pytest.mark.parametrize(("name", "wrong_usage"), [("base/workers", "FailJob"), ("shards/job", "FailIndex")])
+def test_stopped_and_evicted_pods_of_a_job_are_replaced_without_limit(name, wrong_usage):
+    (job,) = documents(DEPLOY / "kubernetes" / f"{name}.yaml")
+    pod = job["spec"]["template"]["spec"]
+    assert pod["restartPolicy"] == "Never"  # a podFailurePolicy requires it
+    assert job["spec"].get("podReplacementPolicy", "Failed") == "Failed"  # with such a policy, the only valid value
+    containers = {container["name"] for container in pod["containers"]}
+    rules = job["spec"]["podFailurePolicy"]["rules"]
+    assert {rule["onExitCodes"]["containerName"] for rule in rules if "onExitCodes" in rule} == containers
+    assert outcome_of(job, STOPPED) == "Ignore"
+    assert outcome_of(job, 137, is_disrupted=True) == "Ignore"
+    assert outcome_of(job, 2) == wrong_usage
+    assert outcome_of(job, 3) == "Count"
+
+
+def test_disruption_budgets_select_the_pods_with_a_volume(tmp_path):
+    found = rendered(DEPLOY / "kubernetes" / "with-gateway")
+    pods = {one["metadata"]["name"]: one["spec"]["template"] for one in found if one["kind"] == "StatefulSet"}
+    budgets = {one["metadata"]["name"]: one["spec"] for one in found if one["kind"] == "PodDisruptionBudget"}
+    assert budgets.keys() == pods.keys()
+    for name, budget in budgets.items():
+        matching = [
+            each
+            for each, pod in pods.items()
+            if budget["selector"]["matchLabels"].items() <= pod["metadata"]["labels"].items()
+        ]
+        assert matching == [name]
 
 
 def test_batch_systems_start_every_shard_of_a_run():
@@ -357,13 +400,13 @@ def test_a_stopped_slurm_task_lets_its_worker_exit_and_requeues_itself_only_befo
     tmp_path, number, told
 ):
     left = tmp_path / "left"
-    body = f"trap 'sleep 0.5; touch {left}; exit 0' TERM; echo up; while :; do sleep 0.05; done"
+    body = f"trap 'sleep 0.5; touch {left}; exit 130' TERM; echo up; while :; do sleep 0.05; done"
     cluster = Cluster(tmp_path, body)
     with cluster.task() as task:
         assert task.stdout is not None
         assert task.stdout.readline() == "up\n"
         task.send_signal(number)
-        assert task.wait(60) == 0
+        assert task.wait(60) == (0 if told else 130)
     assert left.exists(), "the task did not wait for its worker"
     assert (cluster.told.read_text() if cluster.told.exists() else None) == told
 

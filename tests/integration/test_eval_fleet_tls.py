@@ -21,7 +21,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
 from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.keys import revoke
-from schemas.errors import TransientError
+from schemas.errors import TransientError, WorldError
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import BundleRange, Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
 from schemas.protocol.messages import Claim, ClaimReply, Done
@@ -118,8 +118,13 @@ def test_an_evaluator_can_neither_claim_jobs_nor_administer_the_run(hub, pki):
 
 def test_an_evaluator_cannot_read_the_progress_of_a_collection(hub, pki):
     assert is_answered(hub, pki)
-    with pytest.raises(TransientError):
+    with pytest.raises(WorldError) as caught:
         ask_progress(hub.endpoints, "desk", files_of(pki, "desk"))
+    said = str(caught.value)
+    assert "does not serve the request `progress` for 'desk': its role is evaluator" in said
+    assert "needs the role worker or operator" in said
+    assert "factory keys host DIR NAME --role operator" in said
+    assert "Verb" not in said
     assert ask_progress(hub.endpoints, "admin", files_of(pki, "admin")).planned == 2000
 
 

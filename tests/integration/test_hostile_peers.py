@@ -24,7 +24,7 @@ from coordinator.settings import CoordinatorSettings
 from schemas.dataset.rows import summary_of
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.keys import Verb, verb_key
-from schemas.protocol.messages import Ack, Beat, BeatReply, Hello, HelloReply, Refusal
+from schemas.protocol.messages import PROTOCOL, Ack, Beat, BeatReply, Hello, HelloReply, Refusal
 from schemas.support.product import product_version
 from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
@@ -75,7 +75,7 @@ def with_every_number(message: dict[str, Any], number: Any) -> Iterator[dict[str
 
 
 MESSAGES: dict[str, dict[str, Any]] = {
-    "hello": {"sid": "host.1", "host": "host", "slots": 1, "version": product_version()},
+    "hello": {"sid": "host.1", "host": "host", "slots": 1, "version": product_version(), "protocol": PROTOCOL},
     "claim": {"sid": "host.1", "token": "0" * 32},
     "beat": {"sid": "host.1", "via": "0"},
     "done": REPORT | {"sha256": "0" * 64, "size": 7},
@@ -84,7 +84,7 @@ MESSAGES: dict[str, dict[str, Any]] = {
     "inventory": {"first": 1, "last": 1, "files": []},
     "orders": {"router": "0", "most": 1},
     "refused": REPORT | {"detail": "x"},
-    "join": {"version": product_version(), "router": "0"},
+    "join": {"version": product_version(), "protocol": PROTOCOL, "router": "0"},
     "archived": {"summary": summary_of(parts_for().meta, "0" * 64, 7).model_dump(mode="json"), "lease": LEASE},
     "admin": {"action": "retry", "indices": []},
 }

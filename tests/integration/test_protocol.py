@@ -15,6 +15,7 @@ from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.jobs import command as jobs
+from factory.cli.status import command as status
 from schemas.errors import UsageError, WorldError
 from schemas.protocol.address_file import mark_finished, read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
@@ -65,6 +66,22 @@ def test_a_run_of_two_episodes_is_archived_and_its_worker_drops_its_bundles_and_
     assert progress.attempts == {"success": 2}
     assert progress.eta_s == 0
     assert [(status.sid, status.archived, status.alive) for status in progress.workers] == [(worker.sid, 2, True)]
+
+
+def test_status_of_a_run_whose_coordinator_has_ended_says_so_without_rate_and_time_left(tmp_path, checker):
+    options = CoordinatorOptions(listen=ANY_PORT, settings=settings(), checker=checker)
+    root = tmp_path / "out"
+    with Coordinator(root, room_plan(2), room_catalog(tmp_path), options) as opened:
+        with WireWorker(opened.endpoints, opened.run) as worker:
+            job, lease = worker.job()
+            assert worker.deliver(lease, bundle_for(job))
+            until(lambda: opened.progress().jobs["archived"] == 1)
+        assert "No coordinator" not in CliRunner().invoke(status, [str(root)]).output
+    shown = CliRunner().invoke(status, [str(root)]).output
+    assert "1 of 2 episodes archived\n" in shown
+    assert f"No coordinator is running since {datetime.now(UTC):%Y-%m-%d}" in shown
+    assert "/h" not in shown
+    assert "ETA" not in shown
 
 
 def test_a_repeated_claim_returns_the_same_job(worker):

@@ -227,6 +227,20 @@ def test_a_server_on_all_addresses_answers_only_to_addresses_and_its_own_name():
     assert not is_own_name("10.1.2.3", one)
 
 
+def test_requests_with_a_configured_name_are_answered_and_others_are_not(opened):
+    address = parse_address("127.0.0.1:0", None, names=("Minivla.example.org", "coordinator"))
+    with StatusServer(address, opened.health) as named:
+        for host in ("minivla.example.org", "MINIVLA.example.org:443", "coordinator:9464", "localhost"):
+            assert ask(named, "/healthz", Host=host)[0] == 200
+        for host in ("other.example.org", "coordinator.evil.example", "coordinator@evil.example"):
+            status, text = ask(named, "/metrics", Host=host)
+            assert status in {400, 421}
+            assert "minivla_" not in text
+    for name in ("", "a b", "*.example.org", "x" * 254, "-a", "http://a"):
+        with pytest.raises(UsageError, match="--host-name"):
+            parse_address("127.0.0.1:0", None, names=(name,))
+
+
 def test_many_concurrent_requests_are_all_answered_or_refused(server):
     answers: list[int] = []
 

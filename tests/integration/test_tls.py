@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import secrets
 import shutil
 import time
@@ -11,16 +12,20 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from click.testing import CliRunner
 
 from coordinator.admin import administer
 from coordinator.options import CoordinatorOptions
-from coordinator.protocol.ask import ask_progress
+from coordinator.protocol.ask import ask_presence, ask_progress
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import client_config, router_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from factory.cli.jobs import command as jobs
 from factory.keys import admit, revoke
-from schemas.errors import TransientError
+from factory.support.listen import split_resolvable
+from schemas.errors import TransientError, WorldError
+from schemas.protocol.address_file import find_endpoints, read_address
 from schemas.protocol.administration import AdminAction, AdminReply, AdminRequest
 from schemas.protocol.identity import Role, TlsFiles
 from schemas.protocol.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
@@ -110,6 +115,24 @@ def test_the_real_worker_finds_its_run_and_delivers_every_episode(hub, pki, tmp_
         until(hub.is_finished)
         assert worker.join() == 0
     assert hub.progress().workers[0].host == "node"
+
+
+def test_a_worker_with_the_certificate_of_another_role_is_told_its_role(hub, pki, tmp_path):
+    admit(pki, "boss", Role.OPERATOR, (), 1, datetime.now(UTC))
+    until(lambda: can_ping(hub.endpoints, pki, "boss"))
+    settings = settings_for(
+        hub.endpoints[0], tmp_path / "host", host="boss", tls=files_of(pki, "boss"), wait_s=1.0, command=()
+    )
+    with WorkerThread(settings) as worker, pytest.raises(WorldError, match="its role is operator"):
+        worker.join()
+
+
+def can_ping(endpoints: tuple[str, ...], pki: Path, name: str) -> bool:
+    try:
+        ask_presence(endpoints, name, files_of(pki, name))
+    except TransientError:
+        return False
+    return True
 
 
 def test_a_client_without_a_certificate_of_the_authority_cannot_connect(hub, pki, foreign):
@@ -235,6 +258,43 @@ def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_
         ask_progress(hub.endpoints, "stranger", files)
     with pytest.raises(TransientError, match="no coordinator at"):  # not reachable without a certificate
         administer(tmp_path / "out", request, datetime.now(UTC))
+
+
+def test_commands_on_the_machine_of_a_coordinator_use_loopback_and_others_their_endpoint(pki, tmp_path):
+    """The name in the certificate cannot be resolved, as with `factory keys host pki hub` on most machines."""
+    options = CoordinatorOptions(
+        listen=("tls/0.0.0.0:0",),
+        hosts=("name.invalid",),
+        settings=CoordinatorSettings(reserve_bytes=0),
+        guard=Guard(pki / "hub"),
+    )
+    root = tmp_path / "out"
+    with Coordinator(root, room_plan(2), room_catalog(tmp_path), options) as hub:
+        port = hub.endpoints[0].rpartition(":")[2]
+        assert hub.reachable == (f"tls/name.invalid:{port}",)
+        assert find_endpoints((f"@{root}",)) == (f"tls/127.0.0.1:{port}",)
+        assert split_resolvable(hub.reachable) == ((), hub.reachable)
+        for words in (["pause", str(root)], ["resume", "-", "--connect", f"tls/127.0.0.1:{port}"]):
+            started = time.monotonic()
+            ended = CliRunner().invoke(jobs, [*words, "--tls", str(pki / "admin")])
+            assert ended.exit_code == 0, ended.output
+            assert time.monotonic() - started < 8.0
+            assert hub.progress().paused == (words[0] == "pause")
+        elsewhere = json.loads((root / ".coordinator.json").read_text()) | {"host": "other-machine"}
+        (root / ".coordinator.json").write_text(json.dumps(elsewhere))
+        assert find_endpoints((f"@{root}",)) == hub.reachable
+
+
+def test_an_address_file_of_an_older_version_is_read(tmp_path):
+    (tmp_path / ".coordinator.json").write_text('{"run": "r", "endpoints": ["tcp/10.0.0.1:7447"], "pid": 7}')
+    assert find_endpoints((f"@{tmp_path}",)) == ("tcp/10.0.0.1:7447",)
+    for damage in (
+        "[]",
+        '{"run": "r", "endpoints": 3, "pid": 7}',
+        '{"run": "r", "endpoints": [], "pid": 7, "bound": ["x"]}',
+    ):
+        (tmp_path / ".coordinator.json").write_text(damage)
+        assert read_address(tmp_path) is None
 
 
 def test_an_operator_who_was_just_admitted_can_administer_the_run(pki, tmp_path):

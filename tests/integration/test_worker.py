@@ -20,6 +20,7 @@ from tests.builders.fake_simulation import bundle_for
 from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
 from workers.client.spool import Spool, folder_of
+from workers.client.supervisor import STOPPED
 
 
 @contextmanager
@@ -156,7 +157,7 @@ def test_a_worker_that_receives_sigterm_releases_its_jobs_and_exits_within_five_
     ):
         wait_until(lambda: len(started(tmp_path)) == 2, "both attempts")
         worker.send_signal(signal.SIGTERM)
-        assert worker.wait(5) == 0
+        assert worker.wait(5) == STOPPED
         assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
         assert {hub.lease_of(1), hub.lease_of(2)} == {None}
         assert not any(is_alive(pid) for pid in started(tmp_path).values())
@@ -169,7 +170,7 @@ def test_a_worker_that_receives_sigterm_without_a_coordinator_exits_and_keeps_sp
             wait_until(lambda: len(started(tmp_path)) == 2, "the second attempt")
             hub.close()
             worker.send_signal(signal.SIGTERM)
-            assert worker.wait(5) == 0
+            assert worker.wait(5) == STOPPED
     assert len(list((tmp_path / "spool").rglob("*.zip"))) == 1
     assert len(list((tmp_path / "spool").rglob("*.json"))) == 1
 
@@ -182,7 +183,7 @@ def test_a_worker_that_receives_ctrl_c_after_sigterm_does_not_wait_for_its_spool
             worker.send_signal(signal.SIGTERM)
             hub.wait_until(lambda: bool(hub.of(Fail)), "the release")
             worker.send_signal(signal.SIGINT)
-            assert worker.wait(5) == 0
+            assert worker.wait(5) == STOPPED
             assert not hub.archived
 
 
@@ -197,7 +198,7 @@ def test_further_signals_of_a_batch_system_do_not_shorten_the_drain(tmp_path, nu
             for _ in range(3):
                 worker.send_signal(number)
             hub.pulls = True
-            assert worker.wait(5) == 0
+            assert worker.wait(5) == STOPPED
             assert set(hub.archived) == {1}
             assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
 
@@ -233,7 +234,7 @@ def test_the_job_of_a_simulation_killed_while_its_worker_stops_is_released(tmp_p
         ]
         for kill in kills if order == "simulation first" else reversed(kills):
             kill()
-        assert worker.wait(8) == 0
+        assert worker.wait(8) == STOPPED
         assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
 
 
@@ -329,7 +330,7 @@ def test_a_worker_without_a_coordinator_names_the_endpoints_it_tried(tmp_path):
 def test_a_worker_stopped_before_it_found_a_coordinator_exits_cleanly(tmp_path):
     with WorkerThread(settings_for(free_endpoint(), tmp_path)) as worker:
         worker.stop.set()
-        assert worker.join() == 0
+        assert worker.join() == STOPPED
 
 
 def test_a_refused_worker_reports_the_reason(tmp_path):
@@ -362,7 +363,7 @@ def test_a_worker_whose_only_slot_pauses_learns_of_the_end_of_the_run_from_a_hea
         with WorkerThread(settings_for(hub.endpoint, tmp_path, pause_s=30.0)) as worker:
             hub.wait_until(lambda: len(hub.ended) == 1, "a crash")
             claims = len(hub.of(Claim))
-            assert worker.join() == 0
+            assert worker.join() == STOPPED
             assert len(hub.of(Claim)) == claims
 
 
@@ -379,7 +380,7 @@ def test_a_worker_exits_after_the_end_of_the_run_with_undelivered_bundles(tmp_pa
             hub.close()
             hub.open()
             hub.dropped_replies[Verb.BEAT] = 10**6
-            assert worker.join() == 0
+            assert worker.join() == STOPPED
 
 
 def test_a_large_spool_is_reported_in_several_heartbeats(tmp_path):
@@ -390,7 +391,7 @@ def test_a_large_spool_is_reported_in_several_heartbeats(tmp_path):
             spool.add(stale, "0" * 64, 1)
         waiting = len(spool)
     with coordinator("bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
-        assert worker.join() == 0
+        assert worker.join() == STOPPED
         beats = [beat for beat in hub.of(Beat) if isinstance(beat, Beat)]
     assert max(len(beat.spool) for beat in beats) == MAX_LEASES
     assert len({lease for beat in beats for lease in beat.spool if lease.fence == 9}) == waiting

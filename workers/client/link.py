@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from schemas.base import Model
 from schemas.errors import RunFinished, WorldError
 from schemas.protocol.address_file import find_endpoints
-from schemas.protocol.identity import TlsFiles
+from schemas.protocol.identity import Role, TlsFiles
 from schemas.protocol.keys import (
     RANGE_FIELDS,
     BundleRange,
@@ -34,7 +34,7 @@ from schemas.protocol.keys import (
     scene_selector,
     verb_key,
 )
-from schemas.protocol.messages import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
+from schemas.protocol.messages import MAX_MESSAGE_BYTES, Hello, HelloReply, Ping, Pong, Refusal
 from schemas.protocol.reachability import why_unreachable
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
@@ -70,6 +70,8 @@ class Link(Closing):
         """Error message of the last opening that failed."""
         self.is_run_finished = False
         """Whether the address file stated at the last opening that the run is finished."""
+        self.is_foreign = False
+        """Whether a reply to the last registration could not be read: its sender runs another version."""
         self._session: zenoh.Session | None = None
         self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
         self._serving: tuple[str, str, ReadChunk] | None = None
@@ -123,12 +125,20 @@ class Link(Closing):
 
     def send_hello(self, hello: Hello) -> tuple[HelloReply | Refusal, ...]:
         """Registers this worker with all coordinators that answer, and returns the reply of each."""
-        replies: list[HelloReply | Refusal] = []
-        for payload in self._get(any_hello_key(self._host), hello.model_dump_json(), _ASK_TIMEOUT_S):
-            reply = _parse(payload, HelloReply)
-            if reply is not None:
-                replies.append(reply)
-        return tuple(replies)
+        replies = [
+            _parse(payload, HelloReply)
+            for payload in self._get(any_hello_key(self._host), hello.model_dump_json(), _ASK_TIMEOUT_S)
+        ]
+        self.is_foreign = None in replies
+        return tuple(reply for reply in replies if reply is not None)
+
+    def ask_role(self) -> Role | None:
+        """Returns the role of this host in the admission list of a coordinator; `None` if none answers."""
+        for payload in self._get(any_hello_key(self._host, Verb.PING), Ping().model_dump_json(), _ASK_TIMEOUT_S):
+            reply = _parse(payload, Pong)
+            if isinstance(reply, Pong):
+                return reply.role
+        return None
 
     def join(self, run: str) -> None:
         """Selects the run that all further requests refer to."""

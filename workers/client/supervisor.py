@@ -14,7 +14,9 @@ from enum import Enum
 import structlog
 
 from schemas.errors import WorldError
-from schemas.protocol.messages import HelloReply, Refusal, RunKind
+from schemas.protocol.identity import Role
+from schemas.protocol.messages import PROTOCOL, HelloReply, Refusal, RunKind
+from schemas.support.product import product_version
 from workers.client.heartbeat import Heartbeat, make_hello
 from workers.client.host import Backoff, Host, Phase, make_sid, valid_host_name
 from workers.client.link import Link
@@ -23,6 +25,8 @@ from workers.client.settings import WorkerSettings
 from workers.client.slot import Slot
 from workers.client.spool import Spool, folder_of
 
+STOPPED = 130
+"""Exit status of a worker that was stopped before its run was finished; batch systems start it again."""
 _POLL_S = 0.2
 _DRAIN_S = 3.5
 """Time for replies of the coordinator after a stop, seconds."""
@@ -53,7 +57,8 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
         at_once: event for an immediate shutdown without that wait.
 
     Returns:
-        The exit status, 0.
+        The exit status: 0 if the run is finished or the coordinator drains its workers, `STOPPED` if the worker was
+        stopped before.
 
     Raises:
         WorldError: no coordinator answered within `wait_s`, it refuses this worker, or simulations do not start.
@@ -66,11 +71,14 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
         while True:
             terms = _find_run(link, settings, name=name, sid=sid, stop=stop, settled=settled)
             if terms is None:
-                return 0
+                is_over = link.is_run_finished or settled is not None
+                return 0 if is_over else STOPPED
             link.join(terms.run)
             ending = _work_for(terms, link, settings=settings, name=name, sid=sid, stop=stop, at_once=at_once)
             log.info("worker_left", run=terms.run, why=ending.value)
             is_settled = ending is Ending.FINISHED and terms.run_kind is RunKind.EVALUATION
+            if ending is Ending.STOPPED:
+                return STOPPED
             if not is_settled and ending is not Ending.MOVED:
                 return 0
             settled = terms.run if is_settled else None
@@ -144,6 +152,8 @@ class Supervisor:
             raise self._phase.error
         if self._phase.moved.is_set():
             return Ending.MOVED
+        if self._phase.finished_s:
+            return Ending.FINISHED
         return Ending.STOPPED if self._stop.is_set() else Ending.FINISHED
 
     def _poll_stop(self) -> None:
@@ -188,6 +198,17 @@ def _find_run(
             return None
         if time.monotonic() - started > settings.wait_s:
             where = ", ".join(settings.connect)
+            if link.is_foreign:
+                raise WorldError(
+                    f"the coordinator at {where} sent a reply that {_self()} cannot read, so it runs another version: "
+                    "install the version that `factory --version` prints on its host"
+                )
+            role = link.ask_role() if is_open and settings.tls is not None else None
+            if role is not None and role is not Role.WORKER:
+                raise WorldError(
+                    f"the coordinator at {where} does not take {name!r} as a worker: its role is {role}. Use the --tls "
+                    "folder of a worker, or create one where the authority is: `factory keys host DIR NAME`"
+                )
             refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
             problem = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
@@ -196,6 +217,10 @@ def _find_run(
             )
         stop.wait(pause.fail())
     return None
+
+
+def _self() -> str:
+    return f"minivla-factory {product_version()} (protocol {PROTOCOL})"
 
 
 def _choose(
@@ -212,5 +237,6 @@ def _choose(
         raise WorldError(f"{len(terms)} runs answer ({runs}): give --connect endpoints of one run only")
     refusals = [reply.error for reply in replies if isinstance(reply, Refusal)]
     if not terms and refusals:
-        raise WorldError(f"the coordinator refuses this worker: {refusals[0]}")
+        mine = "" if product_version() in refusals[0] else f"; this worker runs {_self()}"
+        raise WorldError(f"the coordinator refuses this worker: {refusals[0]}{mine}")
     return terms[0] if terms else None

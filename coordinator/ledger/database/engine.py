@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import xxhash
-from sqlalchemy import Engine, create_engine, event, make_url, text
+from sqlalchemy import URL, Engine, create_engine, event, make_url, text
 from sqlalchemy.engine import Connection
-from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
+from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
 from sqlalchemy.pool import NullPool
 
 from schemas.errors import UsageError, WorldError
@@ -81,6 +81,8 @@ _OTHERS, _READ = 0o007, 0o444
 _LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
 """Longest wait for the lock and pause between attempts, seconds. The wait is needed because a server detects late that
 a client was killed."""
+_SERVER_WAIT = {"connect_timeout": 5}
+"""Longest wait for a connection to a server, seconds; without it, a host that drops packets blocks for two minutes."""
 _KEPT_READERS = 8
 """Number of SQLite files whose reading engines are kept."""
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
@@ -107,7 +109,7 @@ def open_writer(url: str, mounts: Path = MOUNTS) -> Engine:
             network file system.
     """
     if is_server(url):
-        engine = _create(url, pool_size=1, max_overflow=0, pool_pre_ping=True)
+        engine = _create(url, pool_size=1, max_overflow=0, pool_pre_ping=True, connect_args=_SERVER_WAIT)
         event.listen(engine, "connect", _hold_alone)
         _reach(engine)
         return engine
@@ -128,7 +130,8 @@ def open_reader(url: str) -> Engine:
         WorldError: the SQLite file does not exist, or the server cannot be reached.
     """
     if is_server(url):
-        engine = _create(url, connect_args={"options": "-c default_transaction_read_only=on"}, pool_pre_ping=True)
+        options = {"options": "-c default_transaction_read_only=on", **_SERVER_WAIT}
+        engine = _create(url, connect_args=options, pool_pre_ping=True)
         _reach(engine)
         return engine
     file = _sqlite_file(url)
@@ -227,6 +230,28 @@ def _create(url: str, **options: Any) -> Engine:
 def shown_url(url: str) -> str:
     """Returns a URL with its password hidden."""
     return make_url(url).render_as_string(hide_password=True)
+
+
+def public_url(url: str) -> str:
+    """Returns a URL without its password and its parameters, which can contain secrets."""
+    full = make_url(url)
+    place = URL.create(full.drivername, full.username, host=full.host, port=full.port, database=full.database)
+    return place.render_as_string(hide_password=False)
+
+
+def remedy_for(url: str) -> str:
+    """Returns what to do about a ledger that cannot be read, as the end of a sentence."""
+    if is_server(url):
+        return (
+            "restore the database, or rebuild it from the episodes with `factory repair DIR --ledger` and the URL of "
+            "an empty database"
+        )
+    return "`factory repair` rebuilds it from the episodes"
+
+
+def is_outage(url: str, error: DatabaseError) -> bool:
+    """Returns whether a database server did not answer, so that the same statement can succeed later."""
+    return is_server(url) and (isinstance(error, OperationalError) or error.connection_invalidated)
 
 
 def has_writer(connection: Connection) -> bool | None:

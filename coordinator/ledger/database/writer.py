@@ -51,7 +51,8 @@ class Writer(Closing):
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self._failing = Repeated(log.bind(remedy="check the ledger's disk"), "commit_failed", (SQLAlchemyError,))
+        where = "disk" if engine.dialect.name == "sqlite" else "server"
+        self._failing = Repeated(log.bind(remedy=f"check the ledger's {where}"), "commit_failed", (SQLAlchemyError,))
         self._queue: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
         self._closed = False
         self._closing = threading.Lock()

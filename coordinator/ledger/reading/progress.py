@@ -14,10 +14,10 @@ from coordinator.ledger.administration import is_paused
 from coordinator.ledger.archived import count_by_gateway
 from coordinator.ledger.claims import HELD_STATES, has_open_jobs
 from coordinator.ledger.hosts import troubled
-from coordinator.ledger.opening import read_info
+from coordinator.ledger.opening import read_info, recorded_versions
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState
-from coordinator.ledger.tables import episodes, jobs, workers
+from coordinator.ledger.tables import episodes, events, jobs, workers
 from coordinator.ledger.tallies import ATTEMPT_COUNTS, JOB_COUNTS, build_counts
 from schemas.protocol.status import Progress, WorkerStatus
 from schemas.terms import family_of
@@ -53,7 +53,9 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
     unbuilt = max(0, (facts.episodes or 0) - sum(counts.values()))
     counts[JobState.PENDING] += unbuilt
     left += unbuilt
-    pace = _pace(connection, now, left, facts.opened_at)
+    known = _workers(connection, now, facts.lease_ttl_s)
+    is_worked_on = left == 0 or any(worker.alive for worker in known)
+    pace = _pace(connection, now, left, facts.opened_at) if is_worked_on else _Pace(None, None)
     return Progress(
         run=facts.run,
         planned=sum(counts.values()),
@@ -63,7 +65,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         by_split=_count_by(connection, cells, "split"),
         redrawn=connection.execute(_sum_of(cells).where(cells.c.superseded)).scalar_one() or 0,
         attempts=count_attempts(connection),
-        workers=_workers(connection, now, facts.lease_ttl_s),
+        workers=known,
         hosts=troubled(connection),
         layouts=layouts,
         by_gateway=dict(count_by_gateway(connection)),
@@ -72,7 +74,26 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         finished=not has_open_jobs(connection),
         paused=is_paused(connection),
         sandbox=facts.sandbox,
+        versions=recorded_versions(connection),
     )
+
+
+def without_coordinator(connection: Connection, progress: Progress) -> Progress:
+    """Returns the progress of a run whose coordinator has ended: no worker is alive, and no rate or time left is known.
+
+    Args:
+        connection: ledger of the run.
+        progress: progress that was read from the ledger.
+    """
+    gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)
+    if progress.finished:
+        return progress.model_copy(update={"workers": gone})
+    last_event = connection.execute(select(events.c.at).order_by(events.c.id.desc()).limit(1)).scalar()
+    times = [worker.last_beat for worker in gone]
+    times += [] if last_event is None else [datetime.fromtimestamp(last_event, UTC)]
+    since = max(read_info(connection).opened_at, *times) if times else read_info(connection).opened_at
+    stopped = {"workers": gone, "episodes_per_hour": None, "eta_s": None, "stopped_at": since}
+    return progress.model_copy(update=stopped)
 
 
 def count_frames(connection: Connection) -> int:

@@ -8,14 +8,12 @@ from contextlib import contextmanager
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DatabaseError
 
-from coordinator.ledger.database.engine import open_reader, shown_url
+from coordinator.ledger.database.engine import is_outage, open_reader, remedy_for, shown_url
 from coordinator.ledger.opening import require_current_format
 from coordinator.ledger.reading.audit import ledger_trouble
-from schemas.errors import FactoryError, WorldError
+from schemas.errors import FactoryError, TransientError, WorldError
 
 __all__ = ["Connection", "open_ledger", "require_sound", "translate_damage"]
-
-_REMEDY = "`factory repair` rebuilds it from the episodes"
 
 
 @contextmanager
@@ -39,12 +37,19 @@ def open_ledger(url: str) -> Iterator[Connection]:
 def translate_damage(url: str) -> Iterator[None]:
     """Converts exceptions of the block to `WorldError` if the ledger is damaged; other exceptions are re-raised.
 
+    If a database server does not answer, the exception is `TransientError`.
+
     The function audits the ledger, because with an intact ledger the exception is an error in the software.
     """
     try:
         yield
     except DatabaseError as error:
-        raise WorldError(f"the ledger {shown_url(url)} cannot be read: {error.orig}; {_REMEDY}") from error
+        reason = " ".join(str(error.orig).split())
+        if is_outage(url, error):
+            raise TransientError(
+                f"the server of the ledger {shown_url(url)} does not answer ({reason}): start it, then try again"
+            ) from error
+        raise WorldError(f"the ledger {shown_url(url)} cannot be read: {reason}; {remedy_for(url)}") from error
     except FactoryError:
         raise
     except Exception as error:
@@ -61,4 +66,4 @@ def require_sound(url: str, cause: Exception | None = None) -> None:
     """
     trouble = ledger_trouble(url)
     if trouble:
-        raise WorldError(f"the ledger {shown_url(url)} {trouble}; {_REMEDY}") from cause
+        raise WorldError(f"the ledger {shown_url(url)} {trouble}; {remedy_for(url)}") from cause

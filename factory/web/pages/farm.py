@@ -15,6 +15,7 @@ from starlette.routing import Route
 
 from coordinator.ledger.reading.farm import FarmReading, RunningJob
 from factory.html import render
+from factory.runs.progress_text import why_stopped
 from factory.support.text import format_bytes, format_duration, format_time
 from factory.web.charts import draw_columns
 from factory.web.context import FarmView, context_of, page
@@ -114,6 +115,7 @@ def _draw(workspace: Workspace, farm: Farm) -> str:
         disk=_disk(workspace),
         ledger=f"format {farm.info.format}, {workspace.ledger_health()}",
         paused=progress.paused,
+        stopped=why_stopped(progress),
         requests=[(format_time(one.time, farm.at), one.action, one.changed) for one in reading.requests],
     )
 

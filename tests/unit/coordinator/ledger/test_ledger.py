@@ -14,8 +14,8 @@ from sqlalchemy import select
 from coordinator.ledger import administration, claims, hosts, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.database.engine import open_reader, open_writer, share_finished
-from coordinator.ledger.opening import open_run
-from coordinator.ledger.reading.progress import read_progress
+from coordinator.ledger.opening import note_opened, open_run
+from coordinator.ledger.reading.progress import read_progress, without_coordinator
 from coordinator.ledger.reading.records import (
     JobFilter,
     LedgerEpisodes,
@@ -350,6 +350,7 @@ def test_rate_and_remaining_time_are_estimated_from_the_last_ten_minutes(timed_l
         timed_ledger.archive(lease)
         timed_ledger.now += timedelta(seconds=60)
     with timed_ledger.open() as connection:
+        hosts.note_alive(connection, "host-1", "host-1", timed_ledger.now)
         progress = read_progress(connection, timed_ledger.now)
     assert progress.episodes_per_hour == pytest.approx(60)
     assert progress.eta_s == pytest.approx(60)
@@ -363,10 +364,47 @@ def test_rate_counts_the_whole_time_and_a_stalled_run_has_no_time_left(timed_led
         timed_ledger.archive(lease)
         timed_ledger.now += timedelta(seconds=1)
     with timed_ledger.open() as connection:
+        hosts.note_alive(connection, "host-1", "host-1", timed_ledger.now)
         assert read_progress(connection, timed_ledger.now).episodes_per_hour == pytest.approx(2 * 3600 / 18)
-        stalled = read_progress(connection, timed_ledger.now + timedelta(seconds=182))
+        later = timed_ledger.now + timedelta(seconds=182)
+        unattended = read_progress(connection, later)
+        hosts.note_alive(connection, "host-1", "host-1", later)
+        stalled = read_progress(connection, later)
+    assert (unattended.episodes_per_hour, unattended.eta_s) == (None, None)
     assert stalled.episodes_per_hour == pytest.approx(2 * 3600 / 200)
     assert stalled.eta_s is None
+
+
+def test_the_rate_does_not_count_episodes_that_were_adopted_before_the_run_was_opened(timed_ledger):
+    for _ in range(2):
+        lease = timed_ledger.lease()
+        timed_ledger.done(lease)
+        timed_ledger.archive(lease)
+    with timed_ledger.open() as connection:
+        hosts.note_alive(connection, "host-1", "host-1", timed_ledger.now + timedelta(seconds=11))
+        counted = read_progress(connection, timed_ledger.now + timedelta(seconds=11))
+        note_opened(connection, timed_ledger.now + timedelta(seconds=1))
+        opened = read_progress(connection, timed_ledger.now + timedelta(seconds=11))
+    assert counted.episodes_per_hour == pytest.approx(2 * 3600 / 11)
+    assert opened.episodes_per_hour is None
+    assert opened.eta_s is None
+
+
+def test_a_run_without_a_coordinator_has_no_rate_and_names_its_last_activity(timed_ledger):
+    for _ in range(2):
+        lease = timed_ledger.lease()
+        timed_ledger.done(lease)
+        timed_ledger.archive(lease)
+        timed_ledger.now += timedelta(seconds=20)
+    last = timed_ledger.now
+    with timed_ledger.open() as connection:
+        hosts.note_alive(connection, "host-1", "host-1", last)
+        running = read_progress(connection, last + timedelta(seconds=5))
+        ended = without_coordinator(connection, running)
+    assert running.episodes_per_hour is not None
+    assert running.eta_s is not None
+    assert (ended.episodes_per_hour, ended.eta_s, ended.stopped_at) == (None, None, last)
+    assert [worker.alive for worker in ended.workers] == [False]
 
 
 def test_a_reader_cannot_write(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -64,7 +65,7 @@ def test_the_options_of_the_site_are_part_of_every_script(job):
 @pytest.mark.parametrize(("number", "is_requeued"), [(signal.SIGUSR1, True), (signal.SIGTERM, False)])
 def test_a_worker_task_keeps_its_spool_only_for_a_requeue(job, tmp_path, number, is_requeued):
     tool(tmp_path, "scontrol", f'echo "$@" > "{tmp_path}/told"')
-    body = 'mkdir -p "${@: -1}"; trap "exit 0" TERM; echo up; while :; do sleep 0.05; done'
+    body = 'mkdir -p "${@: -1}"; trap "exit 130" TERM; echo up; while :; do sleep 0.05; done'
     stub = tool(tmp_path, "waiting", body)
     _, workers = write_scripts(replace(job, factory=(str(stub),)), "workers")
     command = ["bash", workers]
@@ -72,7 +73,7 @@ def test_a_worker_task_keeps_its_spool_only_for_a_requeue(job, tmp_path, number,
         assert task.stdout is not None
         assert task.stdout.readline() == "up\n"
         task.send_signal(number)
-        assert task.wait(60) == 0
+        assert task.wait(60) == (0 if is_requeued else 130)
     (spool,) = [*(tmp_path / "local").glob("*/spool-2")] or [None]
     assert (spool is not None) == is_requeued
     assert (tmp_path / "told").exists() == is_requeued
@@ -109,3 +110,39 @@ def test_a_host_without_slurm_and_a_refused_job_raise_errors_with_the_reason(job
     tool(tmp_path, "sbatch", 'echo "invalid partition" >&2; exit 1')
     with pytest.raises(WorldError, match=r"sbatch refused .*shards\.sh: invalid partition"):
         submit_all(job, "shards")
+
+
+def test_the_last_task_of_a_node_removes_the_folder_of_the_run(job, tmp_path):
+    """Two tasks share the folder; the first one that ends leaves it to the other."""
+    wait = 'while [ ! -e "${SLURM_TMPDIR}/end-${SLURM_ARRAY_TASK_ID}" ]; do sleep 0.05; done'
+    body = 'mkdir -p "${MINIVLA_CACHE}/fetched" "${@: -1}"; echo up; ' + wait
+    stub = tool(tmp_path, "waiting", body)
+    _, workers = write_scripts(replace(job, factory=(str(stub),)), "workers")
+    folder = tmp_path / "local" / "minivla-me-15"
+    tasks = []
+    for number in ("2", "3"):
+        settings = environment(tmp_path) | {"SLURM_ARRAY_TASK_ID": number}
+        tasks.append(subprocess.Popen(["bash", workers], env=settings, stdout=subprocess.PIPE, text=True))
+    for task in tasks:
+        assert task.stdout is not None
+        assert task.stdout.readline() == "up\n"
+    for task, number, is_last in zip(tasks, ("2", "3"), (False, True), strict=True):
+        (tmp_path / "local" / f"end-{number}").touch()
+        task.communicate(timeout=60)
+        assert task.returncode == 0
+        assert folder.exists() != is_last
+
+
+def test_a_task_removes_the_folder_that_killed_tasks_left_and_no_folder_in_use(job, tmp_path):
+    stub = tool(tmp_path, "quick", "true")
+    _, workers = write_scripts(replace(job, factory=(str(stub),)), "workers")
+    names = ("minivla-me-7", "minivla-me-8", "minivla-me-9")
+    for name in names:
+        (tmp_path / "local" / name).mkdir(parents=True)
+        (tmp_path / "local" / name / ".lock").touch()
+    for name in names[:2]:
+        os.utime(tmp_path / "local" / name / ".lock", (1e9, 1e9))
+    with (tmp_path / "local" / names[1] / ".lock").open() as held:
+        fcntl.flock(held, fcntl.LOCK_SH)
+        subprocess.run(["bash", workers], env=environment(tmp_path), check=True)
+    assert sorted(path.name for path in (tmp_path / "local").iterdir()) == [*names[1:]]

@@ -24,7 +24,9 @@ def test_a_log_file_gets_progress_lines() -> None:
         task = bar.add_task("paper", total=240, note="")
         bar.update(task, completed=94, note="1052 episodes/h")
         bar.advance(task)
-        assert lines_of(text) == ["paper  94/240 1052 episodes/h", "paper  95/240 1052 episodes/h"]
+    times, lines = zip(*(line.split(" UTC ", 1) for line in lines_of(text)), strict=True)
+    assert lines == ("paper  94/240 1052 episodes/h", "paper  95/240 1052 episodes/h")
+    assert all(re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", time) for time in times)
 
 
 def test_progress_lines_are_rare() -> None:
