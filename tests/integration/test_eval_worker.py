@@ -72,7 +72,7 @@ def test_a_driver_process_is_replaced_when_the_settings_change(tmp_path: Path) -
             pass
         assert isinstance(heard, EvalReport)
         assert (heard.kind, heard.number) == (EvalReportKind.REFUSED, task.number)
-        assert driver.made == {"stop": "nothing"}
+        assert {name: report.detail for name, report in driver.made.items()} == {"stop": "nothing"}
         return driver.pid
 
     try:

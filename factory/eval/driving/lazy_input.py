@@ -28,7 +28,7 @@ class LazyInput(dict[str, Any]):
         self.seconds = 0.0
         """Time of the rendering, seconds."""
         self.failure: Exception | None = None
-        """Error of the renderer; the policy did not fail."""
+        """Error of the renderer; the policy did not cause it."""
         for name in _IMAGES:
             super().__setitem__(name, None)
 

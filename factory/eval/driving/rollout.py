@@ -162,7 +162,7 @@ class _EpisodeRun:
                 raise observation.failure from None
             raise
         if isinstance(observation, LazyInput):
-            self.act_s -= observation.seconds  # without the time of the renderer
+            self.act_s -= observation.seconds  # the policy did not spend this time
         self.answers += 1
         view = self._wait(view, self.act_s - before_s)
         if view.end is not None:
