@@ -28,7 +28,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "mcap --ros2": SLOW | {"ros2": True},
     **dict.fromkeys(("lerobot-v2.1", "webdataset", "mcap", "gnm", "navdp"), SLOW),
 }
-STEP = SubInstruction(number=1, text="Go on.", step=RouteStep(kind="forward", metres=1), start=0, end=30)
+STEP = SubInstruction(number=1, text="Turn left.", step=RouteStep(kind="forward", metres=1), start=0, end=30)
 QUESTION = Question(
     question="What next?",
     answer="Stop.",

@@ -298,5 +298,5 @@ def test_a_rig_of_the_plan_that_is_not_exported_is_named_and_its_name_selects_it
     assert "to export the sensors of the dataset's rig, add --rig own-rig" in capsys.readouterr().err
     assert open_source(root).rig is None
     assert open_source(root, "own-rig").rig == rig
-    with pytest.raises(UsageError, match="no built-in rig"):
+    with pytest.raises(UsageError, match="no rig "):
         open_source(root, "other-rig")
