@@ -34,7 +34,7 @@ _SERVING = ["declare_queryable", "reply", "liveliness_token"]
 
 def roles_with(verb: Verb) -> tuple[Role, ...]:
     """Returns the roles that may send a verb."""
-    return tuple(role for role, verbs in _VERBS.items() if verb in verbs)
+    return tuple(role for role, verbs in _VERBS.items() if verb in verbs or verb is Verb.PING)
 
 
 def access_control(admitted: Mapping[str, Role]) -> dict[str, Any]:

@@ -363,7 +363,7 @@ def test_a_worker_whose_only_slot_pauses_learns_of_the_end_of_the_run_from_a_hea
         with WorkerThread(settings_for(hub.endpoint, tmp_path, pause_s=30.0)) as worker:
             hub.wait_until(lambda: len(hub.ended) == 1, "a crash")
             claims = len(hub.of(Claim))
-            assert worker.join() == STOPPED
+            assert worker.join() == 0
             assert len(hub.of(Claim)) == claims
 
 
@@ -380,7 +380,7 @@ def test_a_worker_exits_after_the_end_of_the_run_with_undelivered_bundles(tmp_pa
             hub.close()
             hub.open()
             hub.dropped_replies[Verb.BEAT] = 10**6
-            assert worker.join() == STOPPED
+            assert worker.join() == 0
 
 
 def test_a_large_spool_is_reported_in_several_heartbeats(tmp_path):
@@ -391,7 +391,7 @@ def test_a_large_spool_is_reported_in_several_heartbeats(tmp_path):
             spool.add(stale, "0" * 64, 1)
         waiting = len(spool)
     with coordinator("bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
-        assert worker.join() == STOPPED
+        assert worker.join() == 0
         beats = [beat for beat in hub.of(Beat) if isinstance(beat, Beat)]
     assert max(len(beat.spool) for beat in beats) == MAX_LEASES
     assert len({lease for beat in beats for lease in beat.spool if lease.fence == 9}) == waiting

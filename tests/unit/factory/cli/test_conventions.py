@@ -15,6 +15,7 @@ import click
 import pytest
 
 from factory import cli as cli_package
+from factory.cli.jobs import Reach
 from factory.cli.main import VERBS, cli, main
 from factory.runs.plan_changes import PlanChanges
 from factory.web.http_options import HttpOptions
@@ -55,7 +56,7 @@ DIFFERENT = {
     ("factory repair", "--plan"): "is an option, because the argument is the dataset",
 }
 """Options that may be declared differently from the other options of the same name, and the reason."""
-COLLECTED = {"changes": PlanChanges, "pages": HttpOptions}
+COLLECTED = {"changes": PlanChanges, "pages": HttpOptions, "reach": Reach}
 """Parameters of commands that collect the values of several options, and their types."""
 UNTYPED = {"factory export"}
 """Commands that get options in a dict, because models generate these options."""
