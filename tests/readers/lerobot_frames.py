@@ -70,6 +70,9 @@ def check_rows(paper: Paper, data: Any, episode: Listed, start: int, stride: int
     rows = data.hf_dataset.select(range(start, start + episode.length))
     assert np.array_equal(np.stack(list(rows["pose"])), poses[::stride].astype(np.float32))
     assert np.allclose(np.stack(list(rows["action"])), mean_commands(actions, stride), atol=1e-6)
+    is_last = np.arange(episode.length) == episode.length - 1
+    for name in ("next.reward", "next.success", "next.done"):  # only successes are archived
+        assert np.array_equal(np.ravel(list(rows[name])), is_last), name
 
 
 def depth_error_mm(found_mm: np.ndarray, truth_m: np.ndarray) -> float:

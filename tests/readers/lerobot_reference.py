@@ -31,6 +31,9 @@ FEATURES = {
     "tokens": {"dtype": "int64", "shape": (2,), "names": ["v", "w"]},
     "pose": POSE,
     **CAMERA,
+    "next.reward": {"dtype": "float32", "shape": (1,), "names": None},
+    "next.success": {"dtype": "bool", "shape": (1,), "names": None},
+    "next.done": {"dtype": "bool", "shape": (1,), "names": None},
 }
 EXTRA = {
     "depth.front": {
@@ -79,6 +82,9 @@ def frame(t: int) -> dict[str, object]:
         "pose": np.arange(7, dtype=np.float32),
         "camera_pose.front": np.arange(7, dtype=np.float32),
         "camera_matrix.front": np.arange(9, dtype=np.float32),
+        "next.reward": np.array([t == 3], np.float32),
+        "next.success": np.array([t == 3]),
+        "next.done": np.array([t == 3]),
         "task": "Go to the chair.",
     }
 

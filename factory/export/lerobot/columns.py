@@ -18,6 +18,8 @@ from schemas.tokens import tokens_of
 ACTION_NAMES = ("v_mps", "w_rps")
 TOKEN_NAMES = ("v", "w")
 POSE_NAMES = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+REWARD, SUCCESS, DONE = "next.reward", "next.success", "next.done"
+"""Names of the columns of the outcome, as in LeRobot (`lerobot.utils.constants`)."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,22 @@ def frame_columns(
         timestamp=(np.arange(len(kept)) / (recorded_hz // stride)).astype(np.float32),
         frame_index=np.arange(len(kept), dtype=np.int64),
     )
+
+
+def outcome_columns(frames: int, *, is_success: bool) -> dict[str, NDArray[np.float32] | NDArray[np.bool_]]:
+    """Returns the columns of the outcome, which each describe the result of the action of a frame.
+
+    Args:
+        frames: number N of exported frames, at least 1.
+        is_success: whether the episode ended with success.
+
+    Returns:
+        Reward (N,) float32: 1 in the last frame of a success, else 0. Success (N,) bool: the same as a truth value.
+        Done (N,) bool: true in the last frame.
+    """
+    is_last = np.arange(frames) == frames - 1
+    succeeded = is_last & is_success
+    return {REWARD: succeeded.astype(np.float32), SUCCESS: succeeded, DONE: is_last}
 
 
 def _mean_of_windows(actions: NDArray[np.float32], stride: int) -> NDArray[np.float32]:

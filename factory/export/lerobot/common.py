@@ -90,6 +90,7 @@ A [LeRobot](https://github.com/huggingface/lerobot) dataset, version {version}, 
 | `action` | commanded v in m/s, w in rad/s{mean} |
 | `tokens` | the action on the 7 x 7 grid, 0..6 each |
 | `pose` | x, y, z, qw, qx, qy, qz of base_link in the world frame |
+| `next.reward`, `next.success`, `next.done` | outcome of the action: 1, true, true in the last frame of a success |
 | `task` | the instruction |
 {sensors}
 Frame t is what the robot saw before action t. Splits: {splits} (ranges of `episode_index`); {where}.

@@ -43,7 +43,7 @@ class DepthCode:
 
 
 _IMAGE_NAMES = ["height", "width", "channels"]
-_TYPES = {"float32": pa.float32(), "int64": pa.int64()}
+_TYPES = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
 _IMAGE_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
 

@@ -1,8 +1,8 @@
 """Layout of a LeRobot dataset: its image features and numeric columns, for the recorded camera or for a rig.
 
 LeRobot policies use every column whose name begins with `observation` or `action`, and every image or video whatever
-its name (`dataset_to_policy_features`). Tokens and world poses therefore have other names, and depth and ids are in a
-second dataset, `extra/`, with the same episodes and rows.
+its name (`dataset_to_policy_features`). Tokens, world poses and the outcome therefore have other names, and depth and
+ids are in a second dataset, `extra/`, with the same episodes and rows.
 
 Pure functions.
 """
@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, TOKEN_NAMES
+from factory.export.lerobot.columns import ACTION_NAMES, DONE, POSE_NAMES, REWARD, SUCCESS, TOKEN_NAMES
 from factory.export.options import LeRobotOptions
 from factory.export.rig.description import FRONT, recorded_rig
 from schemas.config import CameraConfig
@@ -154,6 +154,9 @@ _COLUMNS: Mapping[str, Column] = {
     "action": _vector(ACTION_NAMES),
     "tokens": _vector(TOKEN_NAMES, "int64"),
     "pose": _vector(POSE_NAMES),
+    REWARD: Column("float32"),
+    SUCCESS: Column("bool"),
+    DONE: Column("bool"),
     **_INDICES,
 }
 """Numeric columns of an export without a rig."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts
-from factory.export.lerobot.columns import frame_columns, kept_frames
+from factory.export.lerobot.columns import frame_columns, kept_frames, outcome_columns
 from factory.export.lerobot.features import LARGEST_CODE, DepthCode, data_schema
 from factory.export.lerobot.layout import CAMERA_POSE, STATE, ImageFeature, Layout, extra_layout_of, layout_of
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
@@ -29,6 +29,7 @@ from factory.export.rig.reader import SensorReader, shown_rig
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.png import encode_png
 from schemas.rig import CameraOutput, Lidar2d, Lidar3d
+from schemas.terms import EndReason
 from workers.sensors import ImuMeasurements
 
 
@@ -112,8 +113,9 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
     counts, pictures = _write_images(episode, reader, features, kept, hz // stride, folder)
     columns = frame_columns(episode.actions, episode.poses, hz, stride)
     origins = np.array([origin_of(episode).to_json(), *[""] * (len(kept) - 1)], dtype=object)
+    outcome = outcome_columns(len(kept), is_success=meta.rollout.end_reason is EndReason.SUCCESS)
     for layout in layouts:
-        values = {STATE: columns.state, ORIGIN: origins}
+        values: dict[str, NDArray[Any]] = {STATE: columns.state, ORIGIN: origins, **outcome}
         values |= {name: getattr(columns, name) for name in layout.columns if hasattr(columns, name)}
         values |= camera_columns(layout, episode, reader, kept)
         if reader is not None:

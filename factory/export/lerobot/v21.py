@@ -52,7 +52,7 @@ class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):
     """Exporter of format `lerobot-v2.1`: one data file and one video per piece."""
 
     name = "lerobot-v2.1"
-    version = 5
+    version = 6
     about = "LeRobotDataset v2.1 with modality.json; GR00T, openpi, LeRobot up to 0.3"
     options = LeRobotV21Options
 

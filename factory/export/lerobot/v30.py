@@ -66,7 +66,7 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
     """Exporter of format `lerobot`: joins pieces into files of at most 100 MiB of rows and 200 MiB of video."""
 
     name = "lerobot"
-    version = 5
+    version = 6
     about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
     options = LeRobotOptions
 

@@ -18,7 +18,7 @@ from PIL import Image
 from factory.dataset.reader import Dataset
 from factory.export.base import ExportPiece, Finish
 from factory.export.execution.export_run import ExportOrder, run_export
-from factory.export.lerobot.columns import frame_columns
+from factory.export.lerobot.columns import frame_columns, outcome_columns
 from factory.export.lerobot.features import DepthCode
 from factory.export.lerobot.layout import DEPTH, EXTRA_FOLDER, IDS, RGB
 from factory.export.lerobot.piece import LeRobotFacts
@@ -166,6 +166,31 @@ def test_rows_contain_the_recorded_values(everything: Path) -> None:
             assert np.array_equal(np.asarray(Image.open(io.BytesIO(found["bytes"]))), frame[2])
 
 
+@pytest.mark.parametrize("name", ["everything", "slow"])
+def test_the_last_frame_of_a_success_has_the_reward(name: str, request: pytest.FixtureRequest) -> None:
+    root = request.getfixturevalue(name)
+    rows = pq.read_table(root / DATA)
+    last = column(rows, "frame_index") == np.repeat([n - 1 for n in lengths_of(root)], lengths_of(root))
+    assert last.sum() == len(ORDER)
+    for key in ("next.reward", "next.success", "next.done"):
+        assert np.array_equal(column(rows, key), last)
+    assert not set(types_of(root / DATA)) & {"reward", "success", "done"}
+    stats = json.loads((root / "meta/stats.json").read_text())
+    assert stats["next.reward"]["mean"] == pytest.approx([last.mean()])
+    assert (stats["next.done"]["min"], stats["next.done"]["max"]) == ([0.0], [1.0])
+
+
+def lengths_of(root: Path) -> list[int]:
+    found: list[int] = pq.read_table(root / EPISODES)["length"].to_pylist()
+    return found
+
+
+def test_an_episode_without_success_ends_without_reward() -> None:
+    outcome = outcome_columns(3, is_success=False)
+    assert [values.tolist() for values in outcome.values()] == [[0.0] * 3, [False] * 3, [False, False, True]]
+    assert [values.dtype for values in outcome.values()] == [np.float32, np.bool_, np.bool_]
+
+
 def test_splits_are_ranges_of_episodes(everything: Path) -> None:
     info = info_of(everything)
     assert info["splits"] == {"train_id": "0:2", "test_id": "2:3", "test_paraphrase_ood": "3:4"}
@@ -256,6 +281,9 @@ def test_version_2_1_has_one_file_for_each_episode(older: Path) -> None:
         parts = episode_parts(int(line["episode_id"][3:]))
         assert len(frames) == table.num_rows == line["length"] == -(-len(parts.frames) // 2)
         assert np.array_equal(column(table, "pose"), parts.arrays.poses[::2].astype(np.float32))
+        assert column(table, "next.reward").tolist() == [0.0] * (len(frames) - 1) + [1.0]
+        assert column(table, "next.success").tolist() == column(table, "next.done").tolist()
+        assert np.flatnonzero(column(table, "next.done")).tolist() == [len(frames) - 1]
         assert {tasks[index] for index in column(table, "task_index")} == {parts.meta.job.instruction}
         assert [time for time, _, _ in frames] == pytest.approx(column(table, "timestamp").tolist())
 
