@@ -21,6 +21,7 @@ from PIL import Image
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
 
+ONE_CAMERA = ("act", "diffusion", "vqbet", "tdmpc")
 CONTROL_HZ = 60
 """Rate of the observations of `factory eval`; with a plan of another `control_hz`, give --control-hz."""
 
@@ -45,9 +46,11 @@ class Server:
         overrides = {"device_processor": {"device": device}}
         self.processors = make_pre_post_processors(self.config, checkpoint, preprocessor_overrides=overrides)
         self.device, self.held, self.lock = torch.device(device), held, threading.Lock()
-        self.images = {name: feature.shape[-2:] for name, feature in self.config.image_features.items()}
-        if len(self.images) != 1:
-            raise SystemExit(f"{checkpoint} needs the images {sorted(self.images)}; this server has one, the front camera")
+        # a VLA such as SmolVLA has several cameras and drives with the first one alone; ACT needs each of its images
+        names = sorted(self.config.image_features)
+        if not names or (len(names) > 1 and self.config.type in ONE_CAMERA):
+            raise SystemExit(f"{checkpoint} needs the images {names}; this server has one, the front camera")
+        self.image, self.size = names[0], self.config.image_features[names[0]].shape[:0:-1]
         weights = Path(checkpoint) / "model.safetensors"
         digest = hashlib.sha256(weights.read_bytes()).hexdigest() if weights.is_file() else ""
         self.greeting = {"name": self.config.type, "checkpoint": str(checkpoint), "sha256": digest}
@@ -65,9 +68,8 @@ class Server:
             pass  # the end of the evaluation
 
     def act(self, policy, request):
-        ((name, (height, width)),) = self.images.items()
-        image = Image.fromarray(request["rgb"]).resize((width, height), Image.Resampling.BOX)
-        observation = {name: np.asarray(image)}
+        image = Image.fromarray(request["rgb"]).resize(self.size, Image.Resampling.BOX)
+        observation = {self.image: np.array(image)}
         if self.config.robot_state_feature is not None:
             observation["observation.state"] = np.array(request["state"])
         with self.lock:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # imports `scipy.spatial` at its first use
 
 from factory.export.source import to_json
 from schemas.config import CameraConfig
@@ -54,6 +54,7 @@ def optical_poses(poses: Floats, mount: Mount) -> Floats:
     Returns:
         x, y, z in metres, and a quaternion w, x, y, z with w at least 0.
     """
+    Rotation = scipy.spatial.transform.Rotation  # noqa: N806 - a class
     base = Rotation.from_quat(poses[:, [4, 5, 6, 3]])
     w, x, y, z = OPTICAL_QUATERNION
     turns = base * Rotation.from_matrix(mount_rotation(mount)) * Rotation.from_quat((x, y, z, w))
