@@ -120,7 +120,7 @@ test-language: $(READY) $(LEROBOT)/.ready $(HABITAT)/.ready
 	HF_HUB_OFFLINE=1 $(LEROBOT)/bin/python -W ignore tests/readers/lerobot_language_reader.py build/language/data build/language/lerobot
 	$(HABITAT)/bin/python -W ignore tests/readers/habitat_language_reader.py build/language/data build/language/vlnce
 
-# tests the dataset reader of this project in LeRobot's environment (Python 3.12)
+# tests the dataset reader of this project in LeRobot's environment (Python 3.12), and the server of its policies
 test-lerobot: $(READY) $(LEROBOT)/.ready
 	rm -rf build/lerobot && mkdir -p build/lerobot
 	$(VENV)/bin/python -m hatchling build -t wheel -d build/lerobot
@@ -129,10 +129,12 @@ test-lerobot: $(READY) $(LEROBOT)/.ready
 	$(VENV)/bin/factory run demo --scene office --episodes 2 --out build/lerobot/data
 	cd build/lerobot && ../../$(LEROBOT)/bin/python ../../tests/install/reader.py data lerobot
 	$(LEROBOT)/bin/python -m pip check
+	$(VENV)/bin/python tests/readers/lerobot_policies.py $(LEROBOT)/bin/python build/lerobot/data build/lerobot/policies
 
 $(LEROBOT)/.ready:
 	python3.12 -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb open3d opencv-python-headless scipy
+	$(LEROBOT)/bin/python -m pip install --quiet "lerobot[dataset,smolvla,training]==0.6.1" \
+	    msgpack websockets lmdb open3d opencv-python-headless scipy
 	touch $(LEROBOT)/.ready
 
 # torchvision of that release uses functions that later versions of PyAV removed

@@ -1,8 +1,8 @@
-"""Serves a policy of LeRobot (ACT, SmolVLA, ...) to `factory eval`. Needs lerobot, msgpack and websockets, but not this project.
+"""Serves a policy of LeRobot (ACT, SmolVLA, ...) to `factory eval`. Needs lerobot, msgpack and websockets only.
 
 python lerobot_server.py CHECKPOINT --fps 10      then:  factory eval DIR --policy act=ws://127.0.0.1:8401
 
-CHECKPOINT is a folder `pretrained_model` of `lerobot-train`, or a repository of the Hub; --fps is the rate of the export.
+CHECKPOINT is a folder `pretrained_model` of `lerobot-train`, or a repository of the Hub; --fps is that of the export.
 """
 
 import argparse
@@ -37,7 +37,7 @@ def unpack(found):
 
 
 class Server:
-    """A loaded policy; each connection drives with a copy that shares the weights, because policies keep a queue of actions."""
+    """A loaded policy. Each connection has a copy that shares the weights, because policies keep a queue of actions."""
 
     def __init__(self, checkpoint, device, held):
         self.config = PreTrainedConfig.from_pretrained(checkpoint)

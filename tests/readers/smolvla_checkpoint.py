@@ -1,9 +1,9 @@
-"""Writes a checkpoint of SmolVLA with random weights of the true shapes, for the columns of an export. Runs in LeRobot's environment.
+"""Writes a checkpoint of SmolVLA with random weights of the true shapes. Runs in LeRobot's environment.
 
 python smolvla_checkpoint.py EXPORT OUT
 
-The sizes are those of HuggingFaceTB/SmolVLM2-500M-Video-Instruct, of which SmolVLA keeps 16 layers of text. No weights and
-no tokenizer are downloaded: a word-level tokenizer of the same interface is written beside the checkpoint.
+The sizes are those of HuggingFaceTB/SmolVLM2-500M-Video-Instruct, of which SmolVLA keeps 16 layers of text. No weights
+and no tokenizer are downloaded: a word-level tokenizer of the same interface is written beside the checkpoint.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lerobot.policies.smolvla.configuration_smolvla import SmolVLAConfig
 from lerobot.policies.smolvla.modeling_smolvla import SmolVLAPolicy
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
-_SPECIAL = ("<unk>", "<pad>", "<|im_start|>", "<end_of_utterance>", "<fake_token_around_image>", "<image>", "<global-img>")
+_SPECIAL = ("<unk>", "<pad>", "<end_of_utterance>", "<fake_token_around_image>", "<image>", "<global-img>")
 
 
 def write_backbone(folder: Path) -> None:
@@ -44,7 +44,7 @@ def write_backbone(folder: Path) -> None:
         "patch_size": 16,
     }
     config = transformers.SmolVLMConfig(
-        text_config=text.to_dict(), vision_config=vision, image_token_id=5, pad_token_id=1, scale_factor=4
+        text_config=text.to_dict(), vision_config=vision, image_token_id=4, pad_token_id=1, scale_factor=4
     )
     config.save_pretrained(folder)
     model = tokenizers.Tokenizer(
@@ -83,7 +83,7 @@ def main() -> None:
     for processor in make_pre_post_processors(config, dataset_stats=meta.stats):
         processor.save_pretrained(out)
     millions = sum(weight.numel() for weight in policy.parameters()) / 1e6
-    print(f"smolvla: {millions:.0f} M parameters, inputs {sorted(config.input_features)}")
+    sys.stdout.write(f"smolvla: {millions:.0f} M parameters, inputs {sorted(config.input_features)}\n")
 
 
 if __name__ == "__main__":
