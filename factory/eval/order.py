@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from factory.eval.driving.live_view import live_appearance, require_live
 from factory.eval.models.messages import EvalSetup
 from factory.eval.models.result import Latency, Variant
 from factory.eval.models.spec import SpecSet, read_specs
-from factory.eval.policies.made_from import GREETING, another_policy, hashes_now
+from factory.eval.policies.made_from import GREETING, another_policy, greeting_now, hashes_now
 from factory.eval.policies.registry import check_name, file_of, is_user_class, named, require_available
 from factory.eval.policies.user_class import source_folder
 from factory.eval.process.local_campaign import Pace
@@ -30,6 +31,8 @@ from schemas.errors import UsageError
 from schemas.rig.rig_file import load_rig
 from schemas.terms import RendererKind, Split
 from schemas.view import ViewSettings
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,7 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
 
 
 def require_same_policies(campaign: Campaign, store: Store) -> None:
-    """Compares the files of the policies with those of the stored results, before any policy is created.
+    """Compares files and greetings of the policies with those of the stored results, before any episode is run.
 
     Raises:
         UsageError: a policy has changed; the message contains the hashes and the remedy.
@@ -145,7 +148,15 @@ def require_same_policies(campaign: Campaign, store: Store) -> None:
         file = file_of(reference)
         folder = source_folder(reference) if is_user_class(reference) else None if file is None else file.parent
         known = {entry: value for entry, value in note.made_from.items() if entry != GREETING}
-        if error := another_policy(name, known, hashes_now(known, folder), store.root):
+        now = hashes_now(known, folder)
+        if GREETING in note.made_from:
+            known, now = note.made_from, greeting_now(reference)
+            if not now:
+                _log.warning(
+                    "%s cannot be reached, so its stored results are not compared with its greeting", reference
+                )
+                continue
+        if error := another_policy(name, known, now, store.root):
             raise error
 
 

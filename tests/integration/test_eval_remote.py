@@ -18,6 +18,7 @@ from websockets.sync.server import ServerConnection, serve
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerUnreachable
 from factory.eval.models.messages import PolicyLimits
+from factory.eval.policies.made_from import GREETING, greeting_now
 from factory.eval.policies.registry import make_policy
 from factory.eval.policies.remote import RemotePolicy, WireError, pack, unpack
 from schemas.errors import UsageError
@@ -249,3 +250,16 @@ def look(depth_m: float) -> PolicyInput:
     """Returns the input of a policy that faces a wall at a distance."""
     rgb, depth = np.zeros((640, 640, 3), np.uint8), np.full((640, 640), depth_m, np.float32)
     return PolicyInput(rgb=rgb, depth=depth, instruction="Go to the chair.", step=0)
+
+
+def test_the_greeting_of_a_server_is_read_without_an_observation_and_differs_with_its_version() -> None:
+    def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
+        raise AssertionError("no observation is sent for the greeting")
+
+    found = []
+    for version in (1, 1, 2):
+        with server(answer, pack({"name": "test", "version": version})) as address:
+            found.append(greeting_now(address))
+    assert found[0] == found[1] != found[2]
+    assert set(found[0]) == {GREETING}
+    assert greeting_now("ws://127.0.0.1:9") == {}

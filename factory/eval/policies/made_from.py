@@ -13,6 +13,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from factory.eval.driving.policy import ServerUnreachable
+from factory.eval.models.messages import PolicyLimits
 from factory.eval.policies.registry import is_user_class
 from factory.eval.policies.remote import RemotePolicy
 from schemas.errors import UsageError
@@ -24,6 +26,8 @@ _MOST_FILES = 1000
 _SHOWN = 12
 """Hexadecimal digits of a hash in messages."""
 _NAMED = 4
+_PATIENCE_S = 2.0
+"""Time for connecting to a server whose episodes are finished, seconds."""
 
 Hashes = dict[str, str]
 """Name of a file (as in the policy's folder), or `GREETING` -> SHA-256."""
@@ -72,6 +76,18 @@ def hashes_now(former: Mapping[str, str], folder: Path | None) -> Hashes:
         if entry != GREETING and path is not None:
             found[entry] = _digest(path)
     return found
+
+
+def greeting_now(address: str) -> Hashes:
+    """Returns the hash of the greeting of a server; empty if the server cannot be reached."""
+    try:
+        policy = RemotePolicy(address, PolicyLimits(reconnect_s=_PATIENCE_S))
+    except ServerUnreachable:
+        return {}
+    try:
+        return hashes_of(address, policy, None)
+    finally:
+        policy.close()
 
 
 def changes(former: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
