@@ -154,7 +154,8 @@ class Plan(Model):
         names = [scene.name for scene in self.scenes]
         mistakes += [f"scenes: {name!r} is listed twice" for name in sorted({n for n in names if names.count(n) > 1})]
         mistakes += [
-            f"scenes: {scene.name!r} has no held-out category, but splits.{split} is above 0"
+            f"scenes: {scene.name!r} has no held-out category, but splits.{split} is above 0: give `held_out`, or set "
+            f"splits.{split} to 0"
             for scene in self.scenes
             if not scene.categories.held_out
             for split, share in self.splits_of(scene).items()

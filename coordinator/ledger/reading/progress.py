@@ -144,15 +144,15 @@ def _workers(connection: Connection, now: datetime, lease_ttl_s: float) -> tuple
 
 
 def _pace(connection: Connection, now: datetime, left: int, opened_at: datetime) -> _Pace:
-    """Returns the rate over the elapsed time of this start of the coordinator, at most ten minutes, and the time left.
+    """Returns the rate over the elapsed time of this start of the coordinator, and the time left.
 
-    The time left follows the last two minutes, because the last episodes of a run are often the slowest.
+    During a run, the rate is that of the last ten minutes, and at its end that of the whole start. The time left follows the last two minutes, because the last episodes of a run are often the slowest.
     """
     last = connection.execute(select(func.max(episodes.c.archived_at))).scalar()
     if last is None:
         return _Pace(None, None if left else 0.0)
     end = now.timestamp() if left else last
-    begin = max(end - _RATE_WINDOW_S, opened_at.timestamp())
+    begin = max(end - _RATE_WINDOW_S, opened_at.timestamp()) if left else opened_at.timestamp()
     per_hour = _rate(connection, begin, end)
     if left == 0:
         return _Pace(per_hour, 0.0)

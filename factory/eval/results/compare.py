@@ -115,7 +115,9 @@ def require_common(comparisons: list[PairedComparison], variant: Variant) -> lis
         UsageError: There are none.
     """
     if not comparisons:
-        raise UsageError(f"the policies have no {variant} episode in common; evaluate all with the same --specs")
+        raise UsageError(
+            f"the policies have no {variant} episode in common; evaluate all with the same --specs and --latency"
+        )
     return comparisons
 
 
@@ -130,7 +132,7 @@ def pairs_of(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], va
     if not pairs:
         raise UsageError(
             f"the two runs have no {variant} episode in common (they have {len(ones)} and {len(others)} episodes); "
-            "evaluate both with the same --specs"
+            "evaluate both with the same --specs and --latency"
         )
     return pairs
 
