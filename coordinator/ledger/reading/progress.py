@@ -146,7 +146,8 @@ def _workers(connection: Connection, now: datetime, lease_ttl_s: float) -> tuple
 def _pace(connection: Connection, now: datetime, left: int, opened_at: datetime) -> _Pace:
     """Returns the rate over the elapsed time of this start of the coordinator, and the time left.
 
-    During a run, the rate is that of the last ten minutes, and at its end that of the whole start. The time left follows the last two minutes, because the last episodes of a run are often the slowest.
+    During a run, the rate is that of the last ten minutes, at its end that of the whole start. The time left follows
+    the last two minutes, because the last episodes of a run are often the slowest.
     """
     last = connection.execute(select(func.max(episodes.c.archived_at))).scalar()
     if last is None:
