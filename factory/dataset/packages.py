@@ -18,6 +18,7 @@ from schemas.storage.place import Place, children, digest_of
 from schemas.support.extras import require_package
 
 if TYPE_CHECKING:
+    from schemas.language.scene import SceneLanguage
     from workers.appearance import AppearanceScene
     from workers.sensors.rays import SceneRays
 
@@ -53,6 +54,10 @@ class ScenePackage(NamedTuple):
         """Returns the scene without the pixels of its textures; raises the errors of `scene`."""
         return read_geometry(find_package_file(*self))
 
+    def language(self) -> SceneLanguage:
+        """Returns the scene graph; keeps the graphs of the most recently used scenes; raises the errors of `scene`."""
+        return _language_of(self)
+
     def rays(self) -> SceneRays:
         """Returns the ray caster of the scene; keeps the ray casters of the most recently used scenes.
 
@@ -78,6 +83,14 @@ class ScenePackage(NamedTuple):
     def info(self) -> SceneInfo:
         """Returns the metadata of the scene; raises the errors of `read`."""
         return read_info(find_package_file(*self))
+
+
+@functools.lru_cache(maxsize=_KEPT_SCENES)
+def _language_of(package: ScenePackage) -> SceneLanguage:
+    from schemas.language.graph.scene_graph import build_graph
+    from schemas.language.scene import SceneLanguage
+
+    return SceneLanguage(build_graph(package.geometry()))
 
 
 @functools.lru_cache(maxsize=_KEPT_RAYS)

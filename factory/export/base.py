@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
+from pydantic import Field
+
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.export.options import Options
 from factory.export.output import Output
+from factory.export.questions import EpisodeQuestions, QuestionCount
 from schemas.base import Model
 from schemas.dataset.rows import EpisodeSummary
 from schemas.rig import Rig
@@ -27,6 +30,8 @@ class EpisodeFacts(Model):
 
     frames: int
     """Number of frames written."""
+    questions: EpisodeQuestions | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Questions about the episode; `None` if it has none, or if the format does not contain questions."""
 
 
 OptionsT = TypeVar("OptionsT", bound=Options)
@@ -75,6 +80,8 @@ class Finish(Generic[OptionsT, FactsT]):
     """Pieces in the order of the plan; at least one."""
     out: Output
     """Output directory; all writes go through it."""
+    questions: QuestionCount | None = None
+    """Numbers of questions; `None` if the episodes have none, or if the format does not contain questions."""
 
 
 class Exporter(ABC, Generic[OptionsT, FactsT]):
@@ -95,6 +102,10 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     requires: ClassVar[tuple[str, ...]] = ()
     """Top-level modules that the format needs; their versions are recorded in the manifest."""
     assembles: ClassVar[bool] = False
+    renders: ClassVar[bool] = True
+    """Whether the format contains frames, which are rendered for each export of a states dataset."""
+    asks: ClassVar[bool] = False
+    """Whether the export has `questions.jsonl`, with the path of the picture of each question."""
     takes_rig: ClassVar[bool] = False
     """Whether the format can contain the sensors of `Episode.rig`."""
     rig_file: ClassVar[str] = "rig.json"

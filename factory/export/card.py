@@ -44,6 +44,7 @@ def export_card(
     text: str,
     configs: Configs | None = None,
     tags: Sequence[str] = (),
+    questions: str = "",
 ) -> str:
     """Returns the text of the card.
 
@@ -54,6 +55,7 @@ def export_card(
         text: Markdown below the title.
         configs: name -> split -> path or pattern of its files, for the dataset viewer; the first is the default.
         tags: additional tags.
+        questions: section about questions, see `factory.export.questions.questions_text`.
     """
     languages = languages_of(meta)
     english = " in English" if languages == ("en",) else ""
@@ -69,4 +71,4 @@ def export_card(
         f"{meta.seed} with the `{meta.plan.expert}` expert. {robot_words(meta.plan.robot, rig)} gets an "
         f"instruction{english} that names an object; it stops {goal_words(meta.plan.task)}.\n\n"
     )
-    return front + origin + text.strip() + "\n"
+    return front + origin + text.strip() + "\n" + questions

@@ -88,6 +88,7 @@ _MCAP: Mapping[str, Kept] = {
 }
 _INTERNNAV: Mapping[str, Kept] = {
     "instruction": Kept("key:tasks"),
+    "questions": Kept("file:questions.jsonl"),
     "split": Kept("key:split"),
     "origin": Kept("key:origin"),
 }
@@ -104,6 +105,7 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
             "tokens": Kept("file:episodes/ep_#/actions_tokens.npy"),
             "outcome": Kept("column:end_reason"),
             "instruction": Kept("column:instruction"),
+            "questions": Kept("file:questions.jsonl"),
             "target": Kept("column:target_id"),
             "centroid": Kept("key:target_centroid_m"),
             "footprint": Kept("key:target_footprint_m"),
@@ -149,6 +151,7 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
             "action": Kept("key:v_mps"),
             "tokens": Kept("key:v_token"),
             "instruction": Kept("key:instruction"),
+            "questions": Kept("file:questions.jsonl"),
             "target": Kept("key:target_id"),
             "centroid": Kept("key:target_centroid_m"),
             "split": Kept("key:split"),
@@ -175,6 +178,7 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
         "gnm": {
             "colour": Kept("file:minivla_nav/ep_#/#.jpg", "JPEG"),
             "pose": Kept("pickle:position", "x, y, yaw"),
+            "questions": Kept("file:questions.jsonl"),
             "split": Kept("file:data_splits/minivla_nav/train_id/traj_names.txt"),
             "origin": Kept("file:minivla_nav/ep_#/origin.json"),
         },

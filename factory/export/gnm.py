@@ -22,6 +22,7 @@ from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.options import GnmOptions, stride_of
 from factory.export.origin import write_origin
+from factory.export.questions import ask_questions, questions_text
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.support.geometry import yaw_of
@@ -70,7 +71,8 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
     name = "gnm"
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
-    version = 4
+    version = 5
+    asks = True
     options = GnmOptions
     facts = GnmFacts
 
@@ -86,7 +88,8 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         yaw = yaw_of(poses)
         (place / "traj_data.pkl").write_bytes(pickle_arrays({"position": position, "yaw": yaw}))
         write_origin(episode, place)
-        return GnmFacts(frames=len(steps), length_m=_length(position))
+        questions = ask_questions(episode, steps, lambda n, _: f"{DATASET_NAME}/{episode.episode_id}/{n}.jpg")
+        return GnmFacts(frames=len(steps), length_m=_length(position), questions=questions)
 
     def finish(self, export: Finish[GnmOptions, GnmFacts]) -> None:
         """Writes the lists of names, the configuration entry and the card."""
@@ -101,9 +104,9 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         fps = export.options.fps or job.task.control_hz
         frames = sorted(piece.facts.frames for piece in export.pieces)
         text = _CARD.format(name=DATASET_NAME, fps=fps, median=frames[len(frames) // 2])
-        export.out.write_text(
-            CARD_FILE, export_card(export.dataset.meta, None, len(export.pieces), text, tags=("gnm",))
-        )
+        asked = questions_text(export.questions, self.asks)
+        card = export_card(export.dataset.meta, None, len(export.pieces), text, tags=("gnm",), questions=asked)
+        export.out.write_text(CARD_FILE, card)
 
 
 def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:

@@ -28,6 +28,7 @@ from factory.export.gnm import encode_jpeg
 from factory.export.options import InternNavOptions, NavDpOptions, stride_of
 from factory.export.origin import COLUMN, origin_of
 from factory.export.output import Output
+from factory.export.questions import ask_questions, questions_text
 from factory.export.rig.description import intrinsics_of
 from factory.export.rig.reader import shown_pinhole
 from factory.runs.scene_packages import find_package
@@ -116,7 +117,8 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
 
     name = "navdp"
     about = "camera poses, JPEG, 16-bit depth and obstacle points, for NavDP"
-    version = 2
+    version = 3
+    asks = True
     options = NavDpOptions
     facts = ExportedFacts
 
@@ -144,7 +146,9 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
             "action": poses.tolist(),
         }
         _write_table(place / "data/chunk-000", episode, columns, [t / job.task.control_hz for t in steps])
-        return ExportedFacts(frames=len(steps), scene=job.scene, scene_sha256=job.scene_sha256)
+        pictures = f"{rgb.relative_to(folder)}/{episode.episode_id}"
+        questions = ask_questions(episode, steps, lambda n, _: f"{pictures}_{n:06d}.jpg")
+        return ExportedFacts(frames=len(steps), scene=job.scene, scene_sha256=job.scene_sha256, questions=questions)
 
     def finish(self, export: Finish[NavDpOptions, ExportedFacts]) -> None:
         """Writes the tables and the points of each scene, and the card."""
@@ -155,9 +159,9 @@ class NavDpExporter(Exporter[NavDpOptions, ExportedFacts]):
             _write_points(export.out, f"{meta}/pointcloud.ply", pieces[0])
         fps = export.options.fps or export.dataset.meta.plan.task.control_hz
         text = _NAVDP_CARD.format(root=_ROOT, group=GROUP, fps=fps)
-        export.out.write_text(
-            CARD_FILE, export_card(export.dataset.meta, None, len(export.pieces), text, tags=("navdp",))
-        )
+        asked = questions_text(export.questions, self.asks)
+        card = export_card(export.dataset.meta, None, len(export.pieces), text, tags=("navdp",), questions=asked)
+        export.out.write_text(CARD_FILE, card)
 
 
 class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
@@ -165,7 +169,8 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
 
     name = "internnav"
     about = "keyframes with discrete actions and pixel goals, for InternVLA-N1 of InternNav"
-    version = 2
+    version = 3
+    asks = True
     options = InternNavOptions
     facts = ExportedFacts
 
@@ -194,7 +199,9 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
             f"relative_goal_frame_id.{setting}": [goal.ahead for goal in goals],
         }
         _write_table(place / "data" / chunk, episode, columns, [t / job.task.control_hz for t in frames])
-        return ExportedFacts(frames=len(frames), scene=job.scene, scene_sha256=job.scene_sha256)
+        pictures = f"{rgb.relative_to(folder)}/episode_{number:06d}"
+        questions = ask_questions(episode, frames, lambda k, _: f"{pictures}_{k}.jpg")
+        return ExportedFacts(frames=len(frames), scene=job.scene, scene_sha256=job.scene_sha256, questions=questions)
 
     def finish(self, export: Finish[InternNavOptions, ExportedFacts]) -> None:
         """Writes the episodes of each scene, and the card."""
@@ -209,7 +216,8 @@ class InternNavExporter(Exporter[InternNavOptions, ExportedFacts]):
             ahead=_MOST_AHEAD,
             hz=export.dataset.meta.plan.task.control_hz,
         )
-        card = export_card(export.dataset.meta, None, len(export.pieces), text, tags=("internnav",))
+        asked = questions_text(export.questions, self.asks)
+        card = export_card(export.dataset.meta, None, len(export.pieces), text, tags=("internnav",), questions=asked)
         export.out.write_text(CARD_FILE, card)
 
 

@@ -19,6 +19,7 @@ from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.options import PaperOptions
 from factory.export.origin import write_origin
+from factory.export.questions import ask_questions, questions_text
 from factory.export.rig.description import rig_table
 from factory.export.rig.reader import SensorReader, arrays_of
 from factory.export.source import TIMES_AND_WORKERS, as_frames, plain_dataset_meta, plain_meta, to_json
@@ -93,7 +94,8 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
 
     name = "paper"
     about = "the paper's tree: PNG, NPY and PNG for each frame; lossless and large"
-    version = 4
+    version = 5
+    asks = True
     takes_rig = True
     options = PaperOptions
     facts = PaperFacts
@@ -119,8 +121,12 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
         write_origin(episode, root)
         if episode.rig is not None:
             write_sensors(SensorReader(episode), len(episode), root / "sensors")
+        pictures = f"episodes/{episode.episode_id}/rgb_front"
         return PaperFacts(
-            frames=len(episode), content_digest=meta.content_digest, steps_visible=meta.rollout.steps_visible
+            frames=len(episode),
+            content_digest=meta.content_digest,
+            steps_visible=meta.rollout.steps_visible,
+            questions=ask_questions(episode, range(len(episode)), lambda _, t: f"{pictures}/{t:06d}.png"),
         )
 
     def finish(self, export: Finish[PaperOptions, PaperFacts]) -> None:
@@ -140,7 +146,8 @@ class PaperExporter(Exporter[PaperOptions, PaperFacts]):
         text, hz, rig = _CARD, meta.plan.task.control_hz, export.dataset.rig
         if rig is not None:
             text += FOLDERS_TEXT + rig_table(rig, hz)
-        card = export_card(meta, rig, len(export.pieces), text, configs)
+        asked = questions_text(export.questions, self.asks)
+        card = export_card(meta, rig, len(export.pieces), text, configs, questions=asked)
         export.out.write_text(CARD_FILE, card)
         export.out.write_text(META_FILE, to_json(plain_dataset_meta(meta)))
 

@@ -25,6 +25,7 @@ from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import WebdatasetOptions, stride_of
 from factory.export.origin import COLUMN as ORIGIN
 from factory.export.origin import origin_of
+from factory.export.questions import ask_questions, not_asked, questions_text
 from factory.export.rig.description import intrinsics_of, optical_poses, rig_table
 from factory.export.rig.reader import SensorReader, arrays_of, shown_rig
 from schemas.encoding.ndarray import encode_npy
@@ -149,7 +150,8 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
 
     name = "webdataset"
     about = "tar shards, one sample per frame, for webdataset and datasets streaming; lossless images"
-    version = 3
+    version = 4
+    asks = True
     assembles = True
     takes_rig = True
     options = WebdatasetOptions
@@ -173,7 +175,13 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
                 for suffix, data in (*members(episode, t), *_facts_members(facts, action, tokens)):
                     write_member(file, f"{episode.episode_id}_{t:06d}.{suffix}", data)
                     size += member_bytes(len(data))
-        return WebdatasetFacts(frames=len(steps), member_bytes=size)
+        stem = episode.episode_id
+        questions = (
+            ask_questions(episode, steps, lambda _, t: f"{stem}_{t:06d}.rgb.png")
+            if reader is None
+            else not_asked(episode)
+        )
+        return WebdatasetFacts(frames=len(steps), member_bytes=size, questions=questions)
 
     def finish(self, export: Finish[WebdatasetOptions, WebdatasetFacts]) -> None:
         """Joins the pieces of each split into shards; writes the list of shards and the card."""
@@ -196,7 +204,10 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         else:
             text = _CARD.format(members=MEMBERS_TEXT, images='sample["json"]["step"]', shards=shards)
             text += rig_table(rig, hz)
-        card = export_card(export.dataset.meta, rig, len(export.pieces), text, configs, tags=("webdataset",))
+        asked = questions_text(export.questions, self.asks)
+        card = export_card(
+            export.dataset.meta, rig, len(export.pieces), text, configs, tags=("webdataset",), questions=asked
+        )
         export.out.write_text(CARD_FILE, card)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +19,6 @@ from factory.dataset.questions import QUESTIONS_SCHEMA, question_rows
 from factory.dataset.reader import Dataset
 from schemas.config import CameraConfig
 from schemas.language.compose import Composer, composer_of
-from schemas.language.graph.scene_graph import build_graph
 from schemas.language.graph.view import look
 from schemas.language.instruction import Instruction, InstructionKind
 from schemas.language.language_file import LanguageSpec, TextKind
@@ -89,7 +87,6 @@ def step_rows(row: dict[str, Any], route: RouteText) -> Sequence[dict[str, Any]]
     ]
 
 
-_KEPT_SCENES = 2
 _STREAM, _ROUTE_STREAM, _QUESTION_STREAM = 23, 24, 25
 """Spawn keys of the random streams of instructions, routes and questions."""
 SCHEMA = pa.schema(
@@ -160,7 +157,7 @@ def make_part(task: PartTask) -> PartResult:
         ArchiveCorrupt: the scene package is missing or damaged.
         WorldError: the disk is full or not available.
     """
-    scene, writer = prepared_scene(task.package), PartWriter(task)
+    scene, writer = task.package.language(), PartWriter(task)
     scene.rejected.clear()
     for start in task.starts:
         writer.add(start)
@@ -184,7 +181,7 @@ class PartWriter:
 
     def __init__(self, task: PartTask) -> None:
         self._task = task
-        self._scene, self._composer = prepared_scene(task.package), Composer(task.spec)
+        self._scene, self._composer = task.package.language(), Composer(task.spec)
         self.routes, self.questions = RouteComposer(task.spec), QuestionComposer(self._composer)
         self._place = SceneRoutes(self._scene, task.camera)
         needs_poses = TextKind.ROUTE in task.spec.kinds or task.spec.questions
@@ -248,16 +245,6 @@ class PartWriter:
             images=images,
         )
         return self.questions.write(self._place, episode_of_questions, held_out, self._rng(start, _QUESTION_STREAM))
-
-
-@functools.lru_cache(maxsize=_KEPT_SCENES)
-def prepared_scene(package: ScenePackage) -> SceneLanguage:
-    """Returns the scene graph of a package; keeps the graphs of the most recently used scenes.
-
-    Raises:
-        ArchiveCorrupt: the package is missing or damaged.
-    """
-    return SceneLanguage(build_graph(package.geometry()))
 
 
 def instructions_of(

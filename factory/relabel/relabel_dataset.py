@@ -29,7 +29,7 @@ from factory.dataset.packages import ScenePackage
 from factory.dataset.reader import Dataset
 from factory.export.output import WORK_FOLDER, Output
 from factory.relabel.paraphrase import ParaphraseReport
-from factory.relabel.part import LanguageStart, PartTask, make_part, prepared_scene
+from factory.relabel.part import LanguageStart, PartTask, make_part
 from factory.support.task_pool import run_tasks
 from factory.support.terminal import print_table
 from schemas.base import Model, Sha256
@@ -322,7 +322,7 @@ def _require_possible(dataset: Dataset, jobs: Sequence[_Job], spec: LanguageSpec
     camera = dataset.meta.plan.camera
     faults = composer_of(spec).missing_nouns([start.category for job in jobs for start in job.starts])
     for job in [] if faults or TextKind.GOAL not in spec.kinds else jobs:
-        scene = prepared_scene(job.package)
+        scene = job.package.language()
         starts = job.starts[:: max(1, len(job.starts) // _PROBES)]
         number_of = scene.graph.number_of
         probes = [(number_of[start.target_id], look(scene.graph, start.pose, camera)) for start in starts]

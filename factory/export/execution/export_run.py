@@ -29,6 +29,7 @@ from factory.export.execution.manifest import (
 from factory.export.execution.selection import select
 from factory.export.options import Options
 from factory.export.output import Output, sync_tree
+from factory.export.questions import QUESTIONS_FILE, count_questions, to_line
 from factory.export.registry import find_exporter, require_packages, require_rig_support
 from factory.export.rig.description import recorded_rig, rig_json
 from factory.export.source import open_source, recorded_run, rows_digest
@@ -39,6 +40,7 @@ from schemas.job import episode_id
 from schemas.rig import Rig
 from schemas.storage.disk import translated
 from schemas.storage.place import Place
+from schemas.terms import Recording
 
 
 class ExportTask:
@@ -322,17 +324,28 @@ def _finish(state: _State, manifest: ExportManifest) -> ExportManifest:
         plan = state.dataset.meta.plan
         rig = state.dataset.rig or recorded_rig(plan.camera)
         state.out.write_text(state.exporter.rig_file, rig_json(rig, plan.task.control_hz))
-        state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
+        questions = count_questions(piece.facts.questions for piece in pieces)
+        if state.exporter.asks and questions is not None and questions.asked:
+            _write_questions(state.out, pieces)
+        state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out, questions))
     except _Stopped:
         return manifest
     state.out.before_file = lambda: None  # ignores a request to stop, because only the manifest remains to be written
     frames = sum(state.frame_counts.values())
     update = {"episodes": len(pieces), "frames": frames, "complete": not skipped, "skipped": skipped}
+    update["questions"] = questions
     manifest = manifest.model_copy(update=update)
     write_manifest(state.out, manifest)
     if manifest.complete:
         state.out.drop_work()  # an incomplete export keeps its pieces for the next call
     return manifest
+
+
+def _write_questions(out: Output, pieces: list[ExportPiece[Any]]) -> None:
+    with out.replacing(QUESTIONS_FILE) as part, part.open("w", encoding="utf-8") as file:
+        for piece in pieces:
+            questions = piece.facts.questions
+            file.writelines(map(to_line, () if questions is None else questions.asked))
 
 
 def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifest) -> ExportReport:
@@ -354,6 +367,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifes
         seconds=0.0,
         frames_per_second=None,
         complete=True,
+        questions=manifest.questions,
     )
 
 
@@ -373,6 +387,8 @@ def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportRe
         seconds=round(seconds, 3),
         frames_per_second=round(state.frames / seconds, 1) if state.frames else None,
         complete=manifest.complete,
+        questions=manifest.questions,
+        rendered=state.exporter.renders and manifest.source.record is Recording.STATES and state.frames > 0,
     )
 
 

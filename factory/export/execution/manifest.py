@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import Field, ValidationError, model_validator
 
 from factory.export.output import WORK_FOLDER, Output
+from factory.export.questions import QuestionCount
 from schemas.base import Model, Sha256
 from schemas.dataset.meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
@@ -54,6 +55,10 @@ class ExportReport(Model):
     """Frames per second of this call; null if it wrote no episode."""
     complete: bool
     """Whether the export contains all selected episodes."""
+    questions: QuestionCount | None = None
+    """Numbers of questions; null if the episodes have none, or if the format does not contain questions."""
+    rendered: bool = False
+    """Whether the frames are rendered for this export, because the dataset stores states."""
 
     @property
     def finished(self) -> bool:
@@ -110,6 +115,8 @@ class ExportManifest(Model):
     complete: bool = False
     """Whether the export contains all selected episodes."""
     skipped: tuple[Skip, ...] = ()
+    questions: QuestionCount | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Numbers of questions; omitted if the episodes have none, or if the format does not contain questions."""
 
     @model_validator(mode="before")
     @classmethod

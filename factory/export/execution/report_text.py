@@ -7,6 +7,7 @@ import click
 from factory.export.execution.estimate import ExportEstimate
 from factory.export.execution.export_run import ExportProgress
 from factory.export.execution.manifest import ExportReport
+from factory.export.questions import questions_words
 from factory.support.terminal import Bars
 from factory.support.text import format_duration
 from schemas.support.shell import quoted
@@ -43,6 +44,11 @@ def print_omitted(report: ExportReport) -> None:
             f"{quoted(report.rig_left_out)}",
             err=True,
         )
+    for question in () if report.questions is None else report.questions.omitted[:_NAMED]:
+        click.echo(f"question {question.id} is not in the export: {question.reason}", err=True)
+    unnamed = 0 if report.questions is None else len(report.questions.omitted) - _NAMED
+    if unnamed > 0:
+        click.echo(f"{unnamed} more questions are not in the export; export.json lists them", err=True)
     for skip in report.skipped:
         click.echo(f"skipped {skip.episode_id}: {skip.reason}", err=True)
     if report.absent:
@@ -63,9 +69,10 @@ def print_report(report: ExportReport) -> None:
     resumed = f" ({report.resumed} exported earlier)" if report.resumed else ""
     speed = f", {report.frames_per_second:.0f} frames/s" if report.frames_per_second else ""
     what = f"{report.episodes} episodes{resumed}, {report.frames} frames, {_megabytes(report.bytes)}"
+    asked = "" if report.questions is None else f", {questions_words(report.questions)}"
     lacking = {"skipped": len(report.skipped), "missing in the dataset": len(report.absent)}
     state = ", ".join(f"{count} episodes {what}" for what, count in lacking.items() if count) or "complete"
-    click.echo(f"{report.out}: {report.format}, {what}, {format_duration(report.seconds)}{speed}; {state}")
+    click.echo(f"{report.out}: {report.format}, {what}, {format_duration(report.seconds)}{speed}{asked}; {state}")
 
 
 def print_estimate(estimate: ExportEstimate) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import pyarrow as pa
 
@@ -19,6 +19,7 @@ from factory.dataset.episode import Episode
 from factory.dataset.steps import has_questions, has_routes
 from factory.export.base import Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
+from factory.export.lerobot.columns import kept_frames
 from factory.export.lerobot.features import features_of
 from factory.export.lerobot.layout import EXTRA_FOLDER, RGB, ImageFeature, Layout, extra_layout_of, layout_of
 from factory.export.lerobot.numbering import Numbered, Numbering, number_pieces
@@ -26,6 +27,7 @@ from factory.export.lerobot.piece import LeRobotFacts, empty_tally, read_columns
 from factory.export.lerobot.statistics import ImageTally, RunningStats, vector_stats
 from factory.export.options import Decimated, LeRobotOptions, stride_of
 from factory.export.output import Output
+from factory.export.questions import QuestionCount, ask_questions, not_asked, questions_text
 from factory.export.rig.description import RIG_FILE, rig_table
 from schemas.config import CameraConfig
 from schemas.dataset.meta import DatasetMeta
@@ -127,6 +129,8 @@ class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
     takes_rig = True
     rig_file = f"meta/{RIG_FILE}"
     facts = LeRobotFacts
+    keeps_questions: ClassVar[bool] = False
+    """Whether the version has a column of questions."""
 
     def check_rig(self, rig: Rig, options: OptionsT) -> None:
         """Validates that no feature occurs twice, and that width and height of videos are even numbers."""
@@ -135,7 +139,12 @@ class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
 
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> LeRobotFacts:
         """Writes videos and columns of one episode."""
-        return write_piece(episode, _widened(options), folder)
+        facts = write_piece(episode, _widened(options), folder)
+        if not self.keeps_questions:
+            return facts
+        kept = kept_frames(len(episode), stride_of(options.fps, episode.meta.job.task.control_hz))
+        questions = ask_questions(episode, kept) if episode.rig is None else not_asked(episode)
+        return facts.model_copy(update={"questions": questions})
 
 
 @dataclass(frozen=True)
@@ -157,6 +166,8 @@ class LeRobotExport:
     asked_about: str | None
     """Image feature that the questions of the source are about; `None` if the source has no questions, or if the images
     of a rig are exported."""
+    questions: QuestionCount | None = None
+    """Numbers of questions; `None` if the export has none."""
     extra: Layout | None = None
     """Layout of the second dataset, with depth and ids; `None` if neither is exported."""
     folder: str = ""
@@ -185,11 +196,10 @@ class LeRobotExport:
 
     def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` maps names to the tables that `datasets` opens."""
-        text = card_text(version, self)
-        self.out.write_text(
-            CARD_FILE,
-            export_card(self.meta, self.rig, len(self.numbering), text=text, configs=configs, tags=["LeRobot"]),
-        )
+        text, asked = card_text(version, self), questions_text(self.questions, has_file=False)
+        episodes = len(self.numbering)
+        card = export_card(self.meta, self.rig, episodes, text, configs, tags=["LeRobot"], questions=asked)
+        self.out.write_text(CARD_FILE, card)
 
     def write_stats(self, stats: Stats) -> None:
         self._write_json("meta/stats.json", stats)
@@ -235,6 +245,7 @@ def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
         numbering=number_pieces(export.pieces, stride),
         has_routes=has_routes(export.dataset.root),
         asked_about=RGB if is_asked else None,
+        questions=export.questions,
     )
 
 

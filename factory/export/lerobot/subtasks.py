@@ -11,7 +11,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from schemas.language.question.meaning import Question
+from factory.export.questions import AskedQuestion
 from schemas.language.route.meaning import SubInstruction
 
 COLUMN, EVENTS = "language_persistent", "language_events"
@@ -25,8 +25,6 @@ _SHOWN = (pa.field("camera", pa.string()), pa.field("tool_calls", pa.list_(pa.st
 TYPE = pa.list_(pa.struct([*_SAID, pa.field("timestamp", pa.float32(), nullable=False), *_SHOWN]))
 EVENTS_TYPE = pa.list_(pa.struct([*_SAID, *_SHOWN]))
 """`TYPE` is the type of `language_persistent`, `EVENTS_TYPE` of `language_events` (lerobot/datasets/language.py)."""
-_UNSPACED = frozenset({"zh"})
-"""Languages without spaces between sentences."""
 
 
 def subtask_rows(steps: Sequence[SubInstruction], hz: int, stride: int, frames: int) -> list[dict[str, Any]]:
@@ -50,30 +48,22 @@ def with_subtasks(table: pa.Table, rows: Sequence[dict[str, Any]]) -> pa.Table:
     return table.append_column(pa.field(COLUMN, TYPE), pa.array([list(rows)] * len(table), TYPE))
 
 
-def question_rows(questions: Sequence[Question], camera: str, stride: int, frames: int) -> list[list[dict[str, Any]]]:
+def question_rows(questions: Sequence[AskedQuestion], camera: str, frames: int) -> list[list[dict[str, Any]]]:
     """Returns the rows of each exported frame: the questions that are asked at this frame, and their answers.
 
-    A question is asked at the first exported frame for which its answer was computed; questions without such a
-    frame are omitted.
-
     Args:
-        questions: questions about the episode.
+        questions: questions about the episode with their exported frames.
         camera: image feature that the questions are about.
-        stride: stride of the exported frames.
         frames: number of exported frames.
     """
     rows: list[list[dict[str, Any]]] = [[] for _ in range(frames)]
     # events, because a persistent row would be active until the next one, when its answer is no longer valid
     shared = {"style": "vqa", "camera": camera, "tool_calls": None}
     for each in questions:
-        t = -(-each.start // stride)
-        if t < frames and t * stride < each.end:
-            space = "" if each.language in _UNSPACED else " "
-            answer = each.answer if each.reason is None else f"{each.answer}{space}{each.reason}"
-            rows[t] += [
-                {"role": "user", "content": each.question, **shared},
-                {"role": "assistant", "content": answer, **shared},
-            ]
+        rows[each.frame] += [
+            {"role": "user", "content": each.question, **shared},
+            {"role": "assistant", "content": each.answer, **shared},
+        ]
     return rows
 
 

@@ -67,6 +67,7 @@ class LeRobotExporter(LeRobotBase[LeRobotOptions]):
 
     name = "lerobot"
     version = 6
+    keeps_questions = True
     about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
     options = LeRobotOptions
 
@@ -175,7 +176,9 @@ def _with_language(table: pa.Table, dataset: LeRobotExport, numbered: Numbered) 
     if dataset.has_routes:
         table = with_subtasks(table, subtask_rows(episode.steps, dataset.fps * stride, stride, frames))
     if dataset.asked_about is not None:
-        table = with_questions(table, question_rows(episode.questions, dataset.asked_about, stride, frames))
+        questions = numbered.piece.facts.questions
+        asked = () if questions is None else questions.asked
+        table = with_questions(table, question_rows(asked, dataset.asked_about, frames))
     return table
 
 

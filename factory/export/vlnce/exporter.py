@@ -66,6 +66,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
     version = 5
     requires = ("trimesh",)
     assembles = True
+    renders = False
     options = Options
     facts = EpisodeFacts
 

@@ -10,7 +10,7 @@ from factory.export.lerobot.subtasks import (
     with_questions,
     with_subtasks,
 )
-from schemas.language.question.meaning import AnswerKind, Question, QuestionKind, QuestionMeaning
+from factory.export.questions import AskedQuestion
 from schemas.language.route.meaning import RouteStep, SubInstruction
 
 
@@ -28,34 +28,27 @@ def test_every_frame_has_all_subtask_rows_and_each_row_begins_at_an_exported_fra
     assert {row["style"] for row in rows} == {"subtask"}
 
 
-def question(start: int, end: int, reason: str | None, language: str = "en") -> Question:
-    meaning = QuestionMeaning(kind=QuestionKind.NEXT, answer=AnswerKind.STOP)
-    return Question(
-        question=f"Q{start}?",
-        answer="A.",
-        reason=reason,
-        language=language,
-        template_id="en_next_001",
-        held_out=False,
-        start=start,
-        end=end,
-        meaning=meaning,
+def question(frame: int, answer: str) -> AskedQuestion:
+    return AskedQuestion(
+        id=f"ep_000001/{frame}",
+        episode="ep_000001",
+        split="train_id",
+        frame=frame,
+        step=15 * frame,
+        computed_at=15 * frame,
+        kind="next",
+        language="en",
+        question=f"Q{frame}?",
+        answer=answer,
     )
 
 
-def test_a_question_is_stored_at_the_first_exported_frame_of_its_span_and_omitted_if_the_span_has_none():
-    asked = [
-        question(0, 1, "R."),
-        question(16, 40, None),
-        question(31, 32, "R."),
-        question(58, 60, "R."),
-        question(30, 31, "R.", "zh"),
-    ]
-    rows = question_rows(asked, "observation.images.front", stride=15, frames=4)
+def test_a_question_and_its_answer_are_events_of_their_frame() -> None:
+    rows = question_rows([question(0, "A."), question(2, "B."), question(2, "C.")], "observation.images.front", 4)
     assert [[(row["role"], row["content"]) for row in frame] for frame in rows] == [
-        [("user", "Q0?"), ("assistant", "A. R.")],
+        [("user", "Q0?"), ("assistant", "A.")],
         [],
-        [("user", "Q16?"), ("assistant", "A."), ("user", "Q30?"), ("assistant", "A.R.")],
+        [("user", "Q2?"), ("assistant", "B."), ("user", "Q2?"), ("assistant", "C.")],
         [],
     ]
     found = with_questions(pa.table({"index": [0, 1, 2, 3]}), rows)[EVENTS].to_pylist()
