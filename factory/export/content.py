@@ -35,7 +35,7 @@ FACTS: Mapping[str, Fact] = MappingProxyType(
         "colour": Fact("colour images", r"rgb|images\.front|image$|\.jpg"),
         "depth": Fact("depth images", r"(^|[/:.])depth(_front)?([/.]|$)|images\.depth"),
         "ids": Fact("id images", r"(^|[/:.])(ids|seg|seg_front)([/.]|$)"),
-        "id_names": Fact("names of the ids", r"instances\."),
+        "id_names": Fact("names of the ids", r"instances\.|/ids/"),
         "camera": Fact("camera of the image", r"camera_matrix|camera_pose|calibration|camera_info|camera_intrinsic"),
         "pose": Fact("poses in the world", r"(^|[/:.])(poses?|position|odom)([/.]|$)|locations"),
         "twist": Fact("measured twist", r"observation\.state|state$|/odom"),
@@ -171,6 +171,7 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
             "camera": Kept("topic:/camera/depth/camera_info"),
             "action": Kept("topic:/cmd_vel"),
             "tokens": Kept("topic:/action_tokens"),
+            "id_names": Kept("topic:/ids/instances"),
         },
         "gnm": {
             "colour": Kept("file:minivla_nav/ep_#/#.jpg", "JPEG"),
