@@ -41,6 +41,7 @@ FACTS: Mapping[str, Fact] = MappingProxyType(
         "twist": Fact("measured twist", r"observation\.state|state$|/odom"),
         "action": Fact("commands v, w", r"v_mps|topic:/(action|cmd_vel)|actions_continuous"),
         "tokens": Fact("action tokens", r"(^|[/:])(tokens|v_token|actions_tokens|action_tokens)|topic:/action"),
+        "discrete": Fact("discrete actions", r"#\.actions$"),
         "outcome": Fact("success at the end", r"next\.|reward|is_terminal|end_reason"),
         "instruction": Fact("instruction", r"instruction|task$|tasks$"),
         "steps": Fact("sub-instructions", r"language_persistent|sub_instructions"),
@@ -181,6 +182,7 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
         },
         "vlnce": {
             "pose": Kept("key:#.locations", "x, y, z"),
+            "discrete": Kept("key:#.actions", "follow the path"),
             "instruction": Kept("key:episodes.instruction.instruction_text"),
             "steps": Kept("key:episodes.info.sub_instructions.text"),
             "target": Kept("key:episodes.info.target_id"),
@@ -204,6 +206,7 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
             "colour": Kept("file:data/*/observation.images.rgb.*.jpg", "keyframes, JPEG"),
             "depth": Kept("file:data/*/observation.images.depth.*.png", "keyframes, mm"),
             "pose": Kept("column:pose.*", "of the camera"),
+            "discrete": Kept("column:action", "of keyframes"),
         },
         "rlds": {
             "colour": Kept("key:observation.image", "256 px"),
