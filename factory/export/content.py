@@ -193,6 +193,15 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
             "origin": Kept("key:episodes.info.origin"),
             "scene": Kept("file:scene_datasets/*.glb", "mesh"),
         },
+        "coco": {
+            "colour": Kept("file:images/ep_#/#.png"),
+            "ids": Kept("key:annotations.segmentation.counts", "of objects"),
+            "id_names": Kept("key:categories.name", "category"),
+            "instruction": Kept("key:images.instruction"),
+            "target": Kept("key:annotations.is_target"),
+            "split": Kept("file:annotations/instances_*.json"),
+            "origin": Kept("file:images/ep_#/origin.json"),
+        },
         "navdp": {
             **_INTERNNAV,
             "colour": Kept("file:data/*/observation.images.rgb/*.jpg", "JPEG"),
