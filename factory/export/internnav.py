@@ -31,6 +31,7 @@ from factory.export.output import Output
 from factory.export.questions import ask_questions, questions_text
 from factory.export.rig.description import intrinsics_of
 from factory.export.rig.reader import shown_pinhole
+from factory.export.vlnce.actions import FORWARD, LEFT, RIGHT, STEP_M, TURN_RAD
 from factory.runs.scene_packages import find_package
 from schemas.config import CameraConfig
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
@@ -49,12 +50,8 @@ _NAVDP_UNITS, _INTERNNAV_UNITS = 10_000, 1_000
 _LARGEST_DEPTH = 65_535
 _OBSTACLE, _FLOOR = (0, 0, 128), (128, 128, 128)
 """Colours of points; NavDP's loader takes points of about (0, 0, 0.5) as obstacles."""
-STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3
-"""Actions of VLN-CE."""
 _START = -1
 """Action of the first keyframe, to which none has led."""
-STEP_M, TURN_RAD = 0.25, np.deg2rad(15.0)
-"""Motion of an action of VLN-CE."""
 _MOST_AHEAD = 24
 """Largest number of keyframes between an image and its pixel goal."""
 _LEAST_GOAL_M = 0.5

@@ -142,6 +142,10 @@ class GnmOptions(Decimated):
     jpeg_quality: int = Field(default=92, ge=1, le=100, description=_QUALITY)
 
 
+class CocoOptions(Decimated):
+    """Options of format `coco`."""
+
+
 class NavDpOptions(GnmOptions):
     """Options of format `navdp`."""
 
@@ -161,6 +165,7 @@ OPTIONS: Mapping[str, type[Options]] = MappingProxyType(
         "mcap": McapOptions,
         "gnm": GnmOptions,
         "vlnce": Options,
+        "coco": CocoOptions,
         "navdp": NavDpOptions,
         "internnav": InternNavOptions,
     }

@@ -25,6 +25,7 @@ EXPORTERS: Mapping[str, str] = MappingProxyType(
         "mcap": "factory.export.mcap.exporter:McapExporter",
         "gnm": "factory.export.gnm:GnmExporter",
         "vlnce": "factory.export.vlnce.exporter:VlnceExporter",
+        "coco": "factory.export.coco:CocoExporter",
         "navdp": "factory.export.internnav:NavDpExporter",
         "internnav": "factory.export.internnav:InternNavExporter",
     }

@@ -68,7 +68,7 @@ def read_foxglove(out: Path) -> Iterable[tuple[str, str]]:
 
 def read_ros2(out: Path) -> Iterable[tuple[str, str]]:
     """Yields sensor and topic of each message that rosbags decodes."""
-    (path,) = out.glob("episodes/*.mcap")
+    (path,) = out.glob("episodes/*/")
     with AnyReader([path]) as bag:
         for connection, _, raw in bag.messages():
             bag.deserialize(raw, connection.msgtype)

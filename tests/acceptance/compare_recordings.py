@@ -38,6 +38,7 @@ EXPORTS: Mapping[str, tuple[str, ...]] = {
     "mcap": (),
     "mcap --ros2": ("--ros2",),
     "gnm": (),
+    "coco": ("--fps", "20"),
     "navdp": ("--fps", "20"),
     "internnav": (),
     "vlnce": (),

@@ -26,7 +26,7 @@ SLOW: dict[str, Any] = {"fps": 2}
 OPTIONS: dict[str, dict[str, Any]] = {
     "lerobot": SLOW | {"depth": True, "ids": True},
     "mcap --ros2": SLOW | {"ros2": True},
-    **dict.fromkeys(("lerobot-v2.1", "webdataset", "mcap", "gnm", "navdp"), SLOW),
+    **dict.fromkeys(("lerobot-v2.1", "webdataset", "mcap", "gnm", "coco", "navdp"), SLOW),
 }
 STEP = SubInstruction(number=1, text="Turn left.", step=RouteStep(kind="forward", metres=1), start=0, end=30)
 QUESTION = Question(

@@ -143,7 +143,7 @@ READERS: dict[str, tuple[dict[str, Any], Callable[[Path], Seen], float]] = {
     "internnav": ({}, in_internnav, 0.002),
 }
 """Format with depth -> options, reader, and the largest distance of a point from its face, metres."""
-WITHOUT_DEPTH = {"lerobot-v2.1", "gnm", "vlnce"}
+WITHOUT_DEPTH = {"lerobot-v2.1", "gnm", "vlnce", "coco"}
 """Formats that are examined with their images, or that have none."""
 
 

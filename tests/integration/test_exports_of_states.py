@@ -32,6 +32,7 @@ EXPORTS: list[tuple[str, dict[str, Any]]] = [
     ("mcap", {"ros2": True}),
     ("gnm", {"fps": 6}),
     ("vlnce", {}),
+    ("coco", {"fps": 6}),
     ("navdp", {"fps": 6}),
     ("internnav", {}),
 ]

@@ -22,10 +22,18 @@ from tests.readers.snippets import run_snippets, snippets_of
 pytestmark = pytest.mark.gl
 DOCS = Path(__file__).parents[2] / "docs" / "formats"
 IN_OTHER_ENVIRONMENTS = r"(from|import) lerobot\b"
-PACKAGES = {"README.md": {"webdataset": "webdataset", "rosbags": "mcap", "tarfile": "webdataset"}}
+PACKAGES = {
+    "README.md": {"webdataset": "webdataset", "rosbags": "mcap", "pycocotools": "coco", "tarfile": "webdataset"}
+}
 """Page -> package of a snippet -> format of its export."""
 SLOW: dict[str, Any] = {"fps": 5}
-OPTIONS = {"mcap": SLOW | {"ros2": True}, "lerobot": SLOW, "lerobot-v2.1": SLOW, "webdataset": SLOW | {"shard_mb": 1}}
+OPTIONS = {
+    "mcap": SLOW | {"ros2": True},
+    "coco": SLOW,
+    "lerobot": SLOW,
+    "lerobot-v2.1": SLOW,
+    "webdataset": SLOW | {"shard_mb": 1},
+}
 
 
 ELSEWHERE = {

@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import io
 import json
+import math
 import pickle
 import subprocess
 import sys
@@ -28,8 +29,10 @@ from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.registry import find_exporter
 from factory.export.vlnce.episode import from_habitat
 from schemas.scene import decode_scene
+from schemas.support.geometry import yaw_of
 from schemas.terms import Split
 from tests.builders.dataset import NOW, archive_episode, episode_of, office_package
+from tests.builders.discrete_agent import execute
 from tests.builders.plan import small_plan
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TRAIN_ID)
@@ -299,6 +302,11 @@ def test_vlnce_files_have_habitats_schema_and_can_be_converted_back(dataset, vln
             assert from_habitat(entry["start_position"]) == pytest.approx(tuple(episode.poses[0, :3]))
             locations = [from_habitat(point) for point in paths[str(entry["episode_id"])]["locations"]]
             np.testing.assert_allclose(locations, episode.poses[:, :3], atol=1e-6)
+            actions = paths[str(entry["episode_id"])]["actions"]
+            track, _ = execute(actions, episode.poses[0, :2].tolist(), float(yaw_of(episode.poses[:1])[0]))
+            goals = [from_habitat(goal["position"])[:2] for goal in entry["goals"]]
+            assert min(math.dist(track[-1], goal) for goal in goals) <= entry["goals"][0]["radius"]
+            assert actions.count(0) == 1
             said = " ".join(words[token] for token in entry["instruction"]["instruction_tokens"] if token)
             assert said.replace(" .", ".") == episode.instruction.lower()
             assert (vlnce / "scene_datasets" / entry["scene_id"]).is_file()

@@ -58,7 +58,7 @@ def ros2(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ["--to", "mcap", "--ros2", "--episode", "1", "--rig", str(place / "all.toml"), "--workers", "1"]
     done = CliRunner().invoke(command, [str(root), "-o", str(place / "out"), *words], standalone_mode=False)
     assert (done.exception, done.return_value) == (None, 0)
-    return place / f"out/episodes/{ID}.mcap"
+    return place / f"out/episodes/{ID}"
 
 
 @pytest.fixture(scope="module")
@@ -184,6 +184,7 @@ def test_rosbags_reads_every_sensor(ros2: Path, episode: Episode) -> None:
     start = found["/odom"][0][0]
     assert kinds["/scan/scan"] == "sensor_msgs/msg/LaserScan"
     assert kinds["/imu/imu"] == "sensor_msgs/msg/Imu"
+    assert {one.class_id for one in found["/ids/label_info"][0][1].class_map} == {one.id for one in episode.instances}
     assert not any(topic.startswith("/camera/") for topic in kinds)
     assert [round((stamp - start) * CONTROL_HZ / 1e9) for stamp, _ in found["/eye/depth/image_raw"]] == list(
         range(0, len(episode), 2)

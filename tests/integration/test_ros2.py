@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import subprocess
 import sys
 from collections import Counter, defaultdict
@@ -15,6 +16,9 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 from factory.cli.export import command
@@ -65,7 +69,7 @@ def read(path: Path) -> tuple[Bag, dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def bag(out: Path) -> Bag:
-    return read(out / "episodes/ep_000001.mcap")[0]
+    return read(out / "episodes/ep_000001")[0]
 
 
 def nanoseconds(header: Any) -> int:
@@ -73,7 +77,7 @@ def nanoseconds(header: Any) -> int:
 
 
 def test_rosbags_decodes_every_message_with_the_published_types(out: Path, bag: Bag) -> None:
-    _, connections = read(out / "episodes/ep_000001.mcap")
+    _, connections = read(out / "episodes/ep_000001/ep_000001.mcap")
     assert {topic: found.msgtype for topic, found in connections.items()} == {
         topic: kind for topic, kind in ROS2_TOPICS.items() if topic in bag
     }
@@ -90,6 +94,51 @@ def test_rosbags_decodes_every_message_with_the_published_types(out: Path, bag: 
     }
 
 
+def test_the_folder_of_an_episode_is_a_bag_with_the_topics_and_counts_of_its_file(out: Path) -> None:
+    folder = out / "episodes/ep_000001"
+    with Reader(folder) as bag, Reader(folder / "ep_000001.mcap") as file:
+        assert (bag.start_time, bag.end_time, bag.message_count) == (file.start_time, file.end_time, file.message_count)
+        assert bag.duration == 1 + (STEPS - 1) * 10**9 // HZ
+        assert facts_of(bag.connections) == facts_of(file.connections)
+        assert len(list(bag.messages())) == bag.message_count
+
+
+def facts_of(connections: list[Any]) -> set[tuple[str, str, int, str]]:
+    return {(one.topic, one.msgtype, one.msgcount, str(one.ext)) for one in connections}
+
+
+def test_the_metadata_has_the_structure_that_rosbags_writes(out: Path, tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/a", "std_msgs/msg/String", typestore=store)
+        writer.write(connection, 1, store.serialize_cdr(store.types["std_msgs/msg/String"]("a"), "std_msgs/msg/String"))
+    ours, theirs = (
+        YAML(typ="safe").load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        for folder in (out / "episodes/ep_000001", tmp_path / "bag")
+    )
+    assert theirs.keys() - ours.keys() == {"custom_data", "ros_distro"}, "fields since versions 6 and 8"
+    assert (ours.pop("version"), ours.keys() <= theirs.keys()) == (5, True)
+    topics = [made["topics_with_message_count"][0] for made in (ours, theirs)]
+    assert topics[1]["topic_metadata"].keys() - topics[0]["topic_metadata"].keys() == {"type_description_hash"}
+    assert (ours["files"][0].keys(), topics[0].keys()) == (theirs["files"][0].keys(), topics[1].keys())
+    for key in ("storage_identifier", "compression_format", "compression_mode"):
+        assert ours[key] == theirs[key]
+
+
+def test_the_labels_name_every_id_of_the_images(bag: Bag, dataset: Path) -> None:
+    episode = Dataset(dataset)[0]
+    (_, info), (_, text) = bag["/ids/label_info"][0], bag["/ids/instances"][0]
+    labels = {one.class_id: one.class_name for one in info.class_map}
+    described = {one["id"]: one for one in json.loads(text.data)}
+    assert labels.keys() == described.keys() == {each.id for each in episode.instances}
+    assert set(np.unique(episode.ids(0))) - {0} <= labels.keys()
+    for each in episode.instances:
+        assert described[each.id]["prim_path"] == each.prim_path
+        assert labels[each.id] == (each.category or each.prim_path.split("/")[-1])
+    target = decode_scene(io.BytesIO(office_package())).info.target("chair_001")
+    assert labels[target.instance_id] == "chair"
+
+
 def test_times_are_evenly_spaced_from_the_start_time_and_equal_in_header_and_record(bag: Bag) -> None:
     start = START_TIME_S * 10**9
     for topic in MOTION:
@@ -100,11 +149,11 @@ def test_times_are_evenly_spaced_from_the_start_time_and_equal_in_header_and_rec
 
 
 def test_episodes_follow_each_other_without_overlap(out: Path, dataset: Path, tmp_path: Path) -> None:
-    spans = [read(out / f"episodes/ep_00000{n}.mcap")[0]["/odom"] for n in (1, 2)]
+    spans = [read(out / f"episodes/ep_00000{n}")[0]["/odom"] for n in (1, 2)]
     assert spans[1][0][0] - spans[0][0][0] == 60 * 10**9
     assert spans[0][-1][0] < spans[1][0][0]
     later = export(dataset, tmp_path / "later", fps=1, start_time=1_800_000_000)
-    assert read(later / "episodes/ep_000001.mcap")[0]["/odom"][0][0] == 1_800_000_000 * 10**9
+    assert read(later / "episodes/ep_000001")[0]["/odom"][0][0] == 1_800_000_000 * 10**9
 
 
 def test_coordinate_frames_follow_rep_105_up_to_the_optical_frame(bag: Bag, dataset: Path) -> None:
@@ -205,10 +254,10 @@ def test_map_and_target_are_those_of_the_scene_and_the_instruction_is_that_of_th
 
 def test_equal_episodes_give_equal_files(out: Path, dataset: Path, tmp_path: Path) -> None:
     again = export(dataset, tmp_path / "again", fps=30)
-    digests = [
-        {p.name: hashlib.sha256(p.read_bytes()).digest() for p in (o / "episodes").iterdir()} for o in (out, again)
-    ]
+    folders = [made / "episodes/ep_000001" for made in (out, again)]
+    digests = [{p.name: hashlib.sha256(p.read_bytes()).digest() for p in folder.iterdir()} for folder in folders]
     assert digests[0] == digests[1]
+    assert digests[0].keys() == {"ep_000001.mcap", "metadata.yaml"}
 
 
 def test_a_message_with_an_unknown_field_is_refused() -> None:

@@ -51,10 +51,13 @@ def main() -> None:
         for episode in data.episodes:
             check_episode(paper, episode, data.instruction_vocab, folder.name)
             check_paths(paper, episode, paths)
+            check_actions(episode, paths)
             scenes.setdefault(episode.scene_id, []).append(episode)
         check_choice(export, folder.name, data)
         print_row(
-            export, named("habitat-lab"), f"{len(data.episodes)} episodes of {folder.name} with starts, goals and paths"
+            export,
+            named("habitat-lab"),
+            f"{len(data.episodes)} episodes of {folder.name} with starts, goals, paths and actions",
         )
     names = {episode.info["minivla_episode_id"] for found in scenes.values() for episode in found}
     assert names == {path.name for path in paper.episodes.iterdir()}
@@ -108,6 +111,22 @@ def check_paths(paper: Paper, episode: Any, paths: dict[str, Any]) -> None:
     locations = np.array(paths[str(episode.episode_id)]["locations"])
     np.testing.assert_allclose(locations, expected, atol=1e-6)
     np.testing.assert_allclose(np.array(episode.reference_path)[[0, -1]], expected[[0, -1]], atol=1e-6)
+
+
+def check_actions(episode: Any, paths: dict[str, Any]) -> None:
+    """Executes the discrete actions with Habitat's rotations; the agent must end in the success region."""
+    place, turn = np.array(episode.start_position), quaternion_from_coeff(episode.start_rotation)
+    actions = paths[str(episode.episode_id)]["actions"]
+    assert actions[-1] == 0
+    assert 0 not in actions[:-1]
+    for action in actions[:-1]:
+        if action == 1:
+            place = place + quaternion_rotate_vector(turn, np.array([0.0, 0.0, -0.25]))
+        else:
+            half = math.radians(7.5 if action == 2 else -7.5)  # about y, which is up
+            turn = turn * quaternion_from_coeff([0.0, math.sin(half), 0.0, math.cos(half)])
+    distances = [math.hypot(*(np.array(goal.position) - place)[[0, 2]]) for goal in episode.goals]
+    assert min(distances) <= episode.goals[0].radius, f"{min(distances):.3f} m"
 
 
 def check_choice(export: Path, split: str, data: VLNDatasetV1) -> None:

@@ -24,15 +24,15 @@ COLOUR, DEPTH, IDS = "/camera/rgb/image_raw/compressed", "/camera/depth/image_ra
 
 def main() -> None:
     paper, export = Paper(Path(sys.argv[1])), Path(sys.argv[2])
-    files = sorted((export / "episodes").glob("*.mcap"))
-    assert [file.stem for file in files] == sorted(path.name for path in paper.episodes.iterdir())
+    files = sorted((export / "episodes").iterdir())
+    assert [file.name for file in files] == sorted(path.name for path in paper.episodes.iterdir())
     messages = sum((check_file(paper, file) for file in files), Counter[str]())
     result = f"{messages.total()} messages, {messages[COLOUR]} frames equal to the paper's tree"
-    print_row(export, named("rosbags"), f"{len(files)} files, {result}")
+    print_row(export, named("rosbags"), f"{len(files)} bags, {result}")
 
 
 def check_file(paper: Paper, path: Path) -> Counter[str]:
-    """Decodes every message of a file and compares frames, poses and commands."""
+    """Decodes every message of a bag and compares frames, poses and commands."""
     counts: Counter[str] = Counter()
     poses, actions = (paper.array(path.stem, name) for name in ("poses", "actions_continuous"))
     with AnyReader([path]) as bag:

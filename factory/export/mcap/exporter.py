@@ -15,7 +15,7 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap.messages import TopicMessage, measured_twists, stamp_of
-from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile, foxglove_card, ros2_card
+from factory.export.mcap.profile import FOXGLOVE, ROS2, BagTopic, Profile, bag_metadata, foxglove_card, ros2_card
 from factory.export.mcap.sensor_frames import require_different_frames
 from factory.export.options import SPACING_S, McapOptions, stride_of
 from factory.export.origin import COLUMN as ORIGIN
@@ -37,8 +37,8 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     """Exporter of format `mcap`. Memory use is one chunk and one frame."""
 
     name = "mcap"
-    about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless images"
-    version = 4
+    about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 a bag of ROS 2; lossless images"
+    version = 5
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     takes_rig = True
     options = McapOptions
@@ -49,14 +49,15 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
         require_different_frames(rig)
 
     def write_episode(self, episode: Episode, options: McapOptions, folder: Path) -> EpisodeFacts:
-        """Writes `episodes/<id>.mcap`."""
+        """Writes `episodes/<id>.mcap`, or the bag `episodes/<id>/`: `<id>.mcap` and `metadata.yaml`."""
         job = episode.meta.job
         stride = stride_of(options.fps, job.task.control_hz)
         scene = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
         profile = ROS2 if options.ros2 else FOXGLOVE
         start_ns = (options.start_s + SPACING_S * (episode.summary.index - 1)) * _NANOSECONDS if options.ros2 else 0
-        path = folder / "episodes" / f"{episode.episode_id}.mcap"
-        path.parent.mkdir()
+        place = folder / "episodes" / (episode.episode_id if options.ros2 else "")
+        path = place / f"{episode.episode_id}.mcap"
+        place.mkdir(parents=True)
         with path.open("wb") as file:
             out = _Recording(file, episode, profile, start_ns)
             for message in profile.static_messages(episode, scene, start_ns):
@@ -72,6 +73,8 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
                     for message in _measured(reader, profile, t, stamp_ns, has_images):
                         out.add(stamp_ns, message)
             out.finish()
+        if options.ros2:
+            (place / "metadata.yaml").write_text(out.bag_metadata(path.name), encoding="utf-8")
         return EpisodeFacts(frames=-(-len(episode) // stride))
 
     def finish(self, export: Finish[McapOptions, EpisodeFacts]) -> None:
@@ -104,6 +107,8 @@ class _Recording:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
+        self._kinds: dict[str, str] = {}
+        self._first_ns, self._last_ns = start_ns, start_ns
         row = episode.summary
         facts = {
             "episode_id": row.episode_id,
@@ -131,17 +136,25 @@ class _Recording:
             if schema not in self._schemas:
                 data = profile.schema_of(schema)
                 self._schemas[schema] = self._out.register_schema(schema, profile.schema_encoding, data)
+            self._kinds[message.topic] = schema
             number, facts = self._schemas[schema], profile.facts_of_topic(message.topic)
             self._channels[message.topic] = self._out.register_channel(
                 message.topic, profile.message_encoding, number, facts
             )
-        number = self._counts[message.topic] = self._counts.get(message.topic, -1) + 1
+        number = self._counts.get(message.topic, 0)
+        self._counts[message.topic] = number + 1
+        self._last_ns = max(self._last_ns, stamp_ns)
         data = profile.encode(schema, message.values)
         self._out.add_message(self._channels[message.topic], stamp_ns, data, stamp_ns, number)
 
     def finish(self) -> None:
         """Writes the indexes and the footer; the file stays open."""
         self._out.finish()
+
+    def bag_metadata(self, file: str) -> str:
+        """Returns `metadata.yaml` of the bag that has this recording as its only file."""
+        topics = [BagTopic(name, self._kinds[name], count) for name, count in self._counts.items()]
+        return bag_metadata(file, self._first_ns, self._last_ns, topics)
 
 
 @functools.lru_cache(maxsize=2)

@@ -1,10 +1,11 @@
-"""Profiles of MCAP files: messages of Foxglove in Protobuf, or of ROS 2 in CDR; text of their cards."""
+"""Profiles of MCAP files: messages of Foxglove in Protobuf, or of ROS 2 in CDR; text of their cards and of bags."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +43,9 @@ _FOXGLOVE_CAMERA = """\
 | `/camera/calibration` | foxglove.CameraCalibration |
 """
 _ROS2_CARD = """
-One MCAP file per episode, `episodes/ep_000001.mcap`: profile `ros2` (CDR), chunked, compressed with zstd, indexed; for
-`ros2 bag`, `rosbags` and Foxglove. Episode n starts {spacing} (n - 1) s after {start} s since 1970.
+One bag of rosbag2 per episode, `episodes/ep_000001/`: `metadata.yaml` and an MCAP file of profile `ros2` (CDR),
+chunked, compressed with zstd, indexed; for `ros2 bag`, `rosbags` and Foxglove. Episode n starts {spacing} (n - 1) s
+after {start} s since 1970.
 
 | topic | message |
 |---|---|
@@ -54,13 +56,15 @@ One MCAP file per episode, `episodes/ep_000001.mcap`: profile `ros2` (CDR), chun
 | `/action_tokens` | std_msgs/UInt8MultiArray: the command on the 7 x 7 grid |
 | `/instruction`, `/target`, `/map` | std_msgs/String, visualization_msgs/MarkerArray, nav_msgs/OccupancyGrid; once |
 | `/path/driven`, `/path/planned` | nav_msgs/Path; once |
+| `/ids/label_info` | vision_msgs/LabelInfo: the category of each instance id; once |
+| `/ids/instances` | std_msgs/String: ids with paths, categories and materials as JSON; once |
 """
 
 
 _ROS2_CAMERA = """\
 | `/camera/rgb/image_raw/compressed` | sensor_msgs/CompressedImage, PNG 640 x 640 |
 | `/camera/depth/image_raw` | sensor_msgs/Image, 32FC1, metres along the optical axis, +Inf where nothing was hit |
-| `/camera/ids/image_raw` | sensor_msgs/Image, mono16, instance ids; the attachment `meta.json` names them |
+| `/camera/ids/image_raw` | sensor_msgs/Image, mono16, instance ids; `/ids/instances` names them |
 | `/camera/rgb/camera_info`, `/camera/depth/camera_info` | sensor_msgs/CameraInfo |
 """
 _FOXGLOVE_SENSORS = """\
@@ -127,6 +131,76 @@ _LATCHED_QOS = """\
     nsec: 854775807
   avoid_ros_namespace_conventions: false"""
 """Quality of service of a latched topic in the format of rosbag2: reliable, transient local, depth 1."""
+_BAG = """\
+rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: mcap
+  duration:
+    nanoseconds: {duration}
+  starting_time:
+    nanoseconds_since_epoch: {start}
+  message_count: {count}
+  topics_with_message_count:
+{topics}\
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - {file}
+  files:
+    - path: {file}
+      starting_time:
+        nanoseconds_since_epoch: {start}
+      duration:
+        nanoseconds: {duration}
+      message_count: {count}
+"""
+_BAG_TOPIC = """\
+    - topic_metadata:
+        name: {name}
+        type: {kind}
+        serialization_format: cdr
+        offered_qos_profiles: {qos}
+      message_count: {count}
+"""
+"""Parts of `metadata.yaml`. Version 5 is that of Humble; later distributions read it, but Humble does not read theirs.
+`compression_format` is empty, because it means a compression outside of the MCAP file."""
+
+
+class BagTopic(NamedTuple):
+    """Topic of a bag."""
+
+    name: str
+    kind: str
+    """Message type."""
+    count: int
+    """Number of messages, at least 1."""
+
+
+def bag_metadata(file: str, first_ns: int, last_ns: int, topics: Sequence[BagTopic]) -> str:
+    """Returns `metadata.yaml` of a rosbag2 folder with one MCAP file.
+
+    Args:
+        file: name of the MCAP file.
+        first_ns: time of the first message, nanoseconds.
+        last_ns: time of the last message, nanoseconds.
+        topics: topics of the file.
+    """
+    count = sum(topic.count for topic in topics)
+    return _BAG.format(
+        file=file,
+        start=first_ns,
+        duration=last_ns - first_ns,
+        count=count,
+        topics="".join(
+            _BAG_TOPIC.format(name=one.name, kind=one.kind, qos=json.dumps(qos_of(one.name)), count=one.count)
+            for one in topics
+        ),
+    )
+
+
+def qos_of(topic: str) -> str:
+    """Returns the quality of service of a topic as YAML; empty for the default of the player."""
+    return _LATCHED_QOS if topic in ros2.LATCHED else ""
 
 
 @dataclass(frozen=True)
@@ -174,5 +248,5 @@ ROS2 = Profile(
     static_messages=ros2.static_messages,
     frame_messages=ros2.frame_messages,
     sensor_messages=rig_ros2.sensor_messages,
-    facts_of_topic=lambda topic: {"offered_qos_profiles": _LATCHED_QOS if topic in ros2.LATCHED else ""},
+    facts_of_topic=lambda topic: {"offered_qos_profiles": qos_of(topic)},
 )

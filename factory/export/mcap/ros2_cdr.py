@@ -12,6 +12,12 @@ _DTYPES = {"octet": "uint8", "char": "uint8", "byte": "uint8"}
 _BASE, _NAME = 1, 2
 """Values of `rosbags.interfaces.Nodetype` for a base type and a message type; 3 is an array, 4 a sequence."""
 
+_VISION = {
+    "vision_msgs/msg/VisionClass": "uint16 class_id\nstring class_name\n",
+    "vision_msgs/msg/LabelInfo": "std_msgs/Header header\nvision_msgs/VisionClass[] class_map\nfloat32 threshold\n",
+}
+"""Message type -> fields, as in vision_msgs 4 (Humble and later), which `rosbags` does not have."""
+
 
 def encode(kind: str, values: Mapping[str, Any]) -> bytes:
     """Returns the bytes of a message; equal values give equal bytes.
@@ -37,9 +43,12 @@ def definition_of(kind: str) -> bytes:
 
 @functools.cache
 def _store() -> Any:
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE)  # Jazzy has the same definitions of the types used here
+    store = get_typestore(Stores.ROS2_HUMBLE)  # Jazzy has the same definitions of the types used here
+    for kind, fields in _VISION.items():
+        store.register(get_types_from_msg(fields, kind))
+    return store
 
 
 def _message(store: Any, kind: str, values: Mapping[str, Any]) -> Any:

@@ -8,7 +8,8 @@ Pure functions. Does not encode messages.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -21,7 +22,7 @@ from factory.export.mcap.sensor_frames import links_of, odometry_links
 from factory.export.rig.description import OPTICAL_QUATERNION, mount_row
 from factory.export.rig.reader import shown_pinhole, shown_rig
 from schemas.rig import PinholeCamera
-from schemas.scene import CompiledScene, Target
+from schemas.scene import CompiledScene, Instance, Target
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
 CAMERA, OPTICAL = "front_camera_link", "front_camera_optical_frame"
@@ -38,6 +39,8 @@ ROS2_TOPICS: Mapping[str, str] = MappingProxyType(
         "/camera/depth/image_raw": "sensor_msgs/msg/Image",
         "/camera/depth/camera_info": "sensor_msgs/msg/CameraInfo",
         "/camera/ids/image_raw": "sensor_msgs/msg/Image",
+        "/ids/label_info": "vision_msgs/msg/LabelInfo",
+        "/ids/instances": "std_msgs/msg/String",
         "/tf": "tf2_msgs/msg/TFMessage",
         "/tf_static": "tf2_msgs/msg/TFMessage",
         "/odom": "nav_msgs/msg/Odometry",
@@ -51,7 +54,10 @@ ROS2_TOPICS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Topic -> message type; `/path/planned` exists for experts that plan."""
-LATCHED = frozenset({"/tf_static", "/instruction", "/target", "/map", "/path/driven", "/path/planned"})
+LATCHED = frozenset({"/tf_static", "/instruction", "/target", "/map", "/path/driven", "/path/planned"}) | {
+    "/ids/label_info",
+    "/ids/instances",
+}
 """Topics that are published once, with transient-local durability."""
 
 
@@ -68,6 +74,7 @@ def static_messages(episode: Episode, scene: CompiledScene, stamp_ns: int) -> It
     yield TopicMessage("/instruction", {"data": episode.meta.instruction})
     yield TopicMessage("/target", {"markers": _markers(scene.info.target(job.target_id), stamp_ns)})
     yield TopicMessage("/map", _map(scene, stamp_ns))
+    yield from _label_messages(episode.instances, stamp_ns)
     header = header_of(MAP, stamp_ns)
     for topic, poses in paths_of(episode, scene):
         yield TopicMessage(topic, {"header": header, "poses": [{"header": header, "pose": pose} for pose in poses]})
@@ -96,6 +103,19 @@ def frame_messages(
     yield TopicMessage("/action_tokens", {"data": episode.tokens[t].astype(np.uint8)})
     if with_images:
         yield from _image_messages(episode, t, header_of(OPTICAL, stamp_ns))
+
+
+def _label_messages(instances: Sequence[Instance], stamp_ns: int) -> Iterator[TopicMessage]:
+    """Yields the labels of the ids in images and point clouds: the class of each id, and all that is known of it.
+
+    The class of an instance without a category, such as a wall, is the last part of its path.
+    """
+    classes = [
+        {"class_id": each.id, "class_name": each.category or each.prim_path.rpartition("/")[2]} for each in instances
+    ]
+    yield TopicMessage("/ids/label_info", {"header": header_of("", stamp_ns), "class_map": classes})
+    described = [each.model_dump(mode="json") for each in instances]
+    yield TopicMessage("/ids/instances", {"data": json.dumps(described, ensure_ascii=False)})
 
 
 def _image_messages(episode: Episode, t: int, header: dict[str, Any]) -> Iterator[TopicMessage]:

@@ -23,8 +23,10 @@ from factory.export.card import CARD_FILE, export_card
 from factory.export.options import Options
 from factory.export.origin import origin_of
 from factory.export.output import Output
+from factory.export.vlnce.actions import discrete_actions
 from factory.export.vlnce.episode import (
     EpisodeText,
+    from_habitat,
     scene_file,
     to_habitat,
     tokens_of_text,
@@ -40,7 +42,8 @@ PIECE_FILE = "episode.json"
 _GZIP_LEVEL = 6
 _CARD = """
 - `<split>/<split>.json.gz`: `episodes` and `instruction_vocab`, in the form that Habitat's VLN datasets have;
-  `<split>/<split>_gt.json.gz`: the driven path of each episode (`locations`, every 1/{hz} s), for nDTW and SDTW.
+  `<split>/<split>_gt.json.gz`: the driven path of each episode (`locations`, every 1/{hz} s), for nDTW and SDTW, and
+  `actions` of VLN-CE that follow it: 0 stop, 1 forward 0.25 m, 2 left 15 degrees, 3 right 15 degrees.
 - Positions are in Habitat's world: x right, y up, z backward. A point (x, y, z) of our world (x forward, y left, z up)
   is (x, z, -y) there. `start_rotation` is a quaternion (x, y, z, w); an agent looks along its own -z.
 - `goals` has the target's centroid, projected to the floor, with the success radius; in a dataset with `task.success =
@@ -63,7 +66,7 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
-    version = 5
+    version = 6
     requires = ("trimesh",)
     assembles = True
     renders = False
@@ -71,14 +74,17 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
     facts = EpisodeFacts
 
     def write_episode(self, episode: Episode, options: Options, folder: Path) -> EpisodeFacts:  # noqa: ARG002
-        """Writes the entry and the path of one episode."""
+        """Writes the entry, the path and the discrete actions of one episode."""
         job = episode.meta.job
         info = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
         text = EpisodeText(episode.instruction, episode.summary.template_id, episode.steps)
         origin = origin_of(episode)
         entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m, text, origin)
         locations = [to_habitat(point) for point in episode.poses[:, :3].tolist()]
-        (folder / PIECE_FILE).write_text(json.dumps({"entry": entry, "locations": locations}), encoding="utf-8")
+        goals = [from_habitat(goal["position"])[:2] for goal in entry["goals"]]
+        actions = discrete_actions(episode.poses, goals, job.task.success_radius_m)
+        content = {"entry": entry, "locations": locations, "actions": actions}
+        (folder / PIECE_FILE).write_text(json.dumps(content), encoding="utf-8")
         return EpisodeFacts(frames=len(episode))
 
     def finish(self, export: Finish[Options, EpisodeFacts]) -> None:
@@ -133,7 +139,7 @@ def _paths_json(pieces: Sequence[ExportPiece[EpisodeFacts]]) -> Iterator[str]:
     yield "{"
     for number, piece in enumerate(pieces):
         piece_data = _read_piece(piece)
-        path = {"locations": piece_data["locations"]}
+        path = {name: piece_data[name] for name in ("locations", "actions")}
         yield (
             "\n" if number == 0 else ",\n"
         ) + f"{json.dumps(str(piece_data['entry']['episode_id']))}: {json.dumps(path)}"
