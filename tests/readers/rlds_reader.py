@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def check_registration(episodes: Any) -> None:
-    """Applies the transforms for OpenVLA and Octo to an episode; compares actions, states and the names of the README."""
+    """Applies the transforms for OpenVLA and Octo to an episode; compares values and the names in the README."""
     sys.path.insert(0, str(RECIPE.parent))
     import registration
 
