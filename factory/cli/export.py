@@ -115,7 +115,13 @@ def command(
     from factory.dataset.marks import excluded_in
     from factory.export.execution.estimate import estimate_export
     from factory.export.execution.export_run import ExportOrder, run_export
-    from factory.export.execution.report_text import ExportBar, print_estimate, print_omitted, print_report
+    from factory.export.execution.report_text import (
+        ExportBar,
+        print_estimate,
+        print_omitted,
+        print_render_hint,
+        print_report,
+    )
     from factory.export.execution.selection import parse_episodes
     from factory.support.logs import configure_logs
     from factory.support.terminal import print_result, stderr
@@ -145,6 +151,7 @@ def command(
         click.echo(f"interrupted after {report.episodes} episodes; run the same command again to continue", err=True)
         return 130
     print_result(report, as_json, print_report)
+    print_render_hint(report)
     return 0 if report.complete and not report.absent else 1
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.execution.manifest import MANIFEST_FILE
+from factory.export.execution.report_text import print_render_hint
 from factory.export.origin import find_origin
 from factory.export.output import WORK_FOLDER
 from factory.export.registry import EXPORTERS, find_exporter
@@ -19,6 +22,7 @@ from factory.export.rlds import rlds_metadata
 from factory.verify.dataset import verify
 from schemas.dataset.meta import read_dataset_meta
 from schemas.terms import ExpertName, Recording
+from tests.acceptance.factory_cli import FactoryCli
 from tests.builders.driven import make_driven
 
 pytestmark = pytest.mark.gl
@@ -108,3 +112,36 @@ def test_an_export_that_was_started_from_frames_is_continued_from_states(
         order = ExportOrder(recordings[record], tmp_path / "out", "gnm", find_exporter("gnm").options())
         report = run_export(order)
         assert (report.complete, report.resumed) == (True, 0 if record is Recording.FRAMES else 2)
+
+
+def test_the_hint_after_a_long_export_of_states_stores_frames_that_export_to_the_same_bytes(
+    factory: FactoryCli, recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = tmp_path / "my drives"
+    shutil.copytree(recordings[Recording.STATES], states)
+    options = find_exporter("gnm").options.model_validate({"fps": 3})
+    report = run_export(ExportOrder(root=states, out=tmp_path / "one", format="gnm", options=options))
+    print_render_hint(report.model_copy(update={"seconds": 9.0}))
+    assert capsys.readouterr().err == ""
+    print_render_hint(report.model_copy(update={"seconds": 30.0}))
+    words = shlex.split(capsys.readouterr().err.rpartition(": ")[2])
+    assert words[:2] == ["factory", "render"]
+    assert factory(*words[1:]).returncode == 0
+    frames = Path(words[-1])
+    assert read_dataset_meta(frames).plan.record is Recording.FRAMES
+    again = run_export(ExportOrder(root=frames, out=tmp_path / "two", format="gnm", options=options))
+    assert again.render_command is None
+    files = [path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*") if path.is_file()]
+    one, two = ({f: (tmp_path / name / f).read_bytes() for f in files} for name in ("one", "two"))
+    assert [f for f in files if f.name != MANIFEST_FILE and one[f] != two[f]] == []
+
+
+def test_there_is_no_hint_for_formats_without_frames_and_none_in_the_second_call(
+    recordings: Recordings, tmp_path: Path
+) -> None:
+    states = recordings[Recording.STATES]
+    without_frames = ExportOrder(states, tmp_path / "a", "vlnce", find_exporter("vlnce").options())
+    assert run_export(without_frames).render_command is None
+    order = ExportOrder(states, tmp_path / "b", "gnm", find_exporter("gnm").options.model_validate({"fps": 1}))
+    assert run_export(order).render_command is not None
+    assert run_export(order).render_command is None

@@ -40,11 +40,38 @@ def main() -> None:
             steps = list(tfds.as_numpy(episode["steps"]))
             seen[name] = check_episode(paper, name, split, steps)
             check_camera(paper, name, steps, tfds.as_numpy(episode["episode_metadata"]))
+        check_registration(builder.as_dataset(split=split))
     assert seen.keys() == {path.name for path in paper.episodes.iterdir()}
     result = (
         f"{sum(seen.values())} steps of {len(seen)} episodes in {len(builder.info.splits)} splits, built and read back"
     )
     print_row(built, named("tensorflow-datasets", "tensorflow"), f"{result}, equal to the paper's tree")
+
+
+def check_registration(episodes: Any) -> None:
+    """Applies the transforms for OpenVLA and Octo to an episode; compares values and the names in the README."""
+    sys.path.insert(0, str(RECIPE.parent))
+    import registration
+
+    steps = next(iter(episodes))["steps"]
+    (whole,) = steps.batch(len(list(steps)))
+    action, state = (value.numpy() for value in (whole["action"], whole["observation"]["state"]))
+    arm = registration.openvla_transform({**whole, "observation": dict(whole["observation"])})
+    expected = np.zeros((len(action), 7), np.float32)
+    expected[:, [0, 5]] = action
+    np.testing.assert_array_equal(arm["action"], expected)
+    parts = [arm["observation"][name].numpy() for name in registration.OPENVLA_CONFIG["state_obs_keys"] if name]
+    assert [part.shape[1] for part in parts] == [6, 1]
+    np.testing.assert_array_equal(parts[0][:, [0, 1, 5]], state[:, :3])
+    assert arm["observation"][registration.OPENVLA_CONFIG["image_obs_keys"]["primary"]].dtype == np.uint8
+    two = registration.octo_transform({**whole, "observation": dict(whole["observation"])})
+    np.testing.assert_array_equal(two["action"], action)
+    np.testing.assert_array_equal(two["observation"][registration.OCTO_KWARGS["proprio_obs_key"]], state)
+    assert two[registration.OCTO_KWARGS["language_key"]].dtype == "string"
+    text = README.read_text(encoding="utf-8")
+    for name, value in (registration.OPENVLA_CONFIG | registration.OCTO_KWARGS).items():
+        if name != "image_obs_keys":
+            assert f'"{name}": {json.dumps(value).replace("null", "None")}' in text, f"README.md has another {name}"
 
 
 def check_episode(paper: Paper, name: str, split: str, steps: list[dict[str, Any]]) -> int:

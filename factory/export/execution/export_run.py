@@ -6,6 +6,7 @@ A task of one episode writes into its staging folder only.
 from __future__ import annotations
 
 import hashlib
+import shlex
 import shutil
 import threading
 import time
@@ -388,8 +389,26 @@ def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportRe
         frames_per_second=round(state.frames / seconds, 1) if state.frames else None,
         complete=manifest.complete,
         questions=manifest.questions,
-        rendered=state.exporter.renders and manifest.source.record is Recording.STATES and state.frames > 0,
+        render_command=_render_command(state, manifest.source.record),
     )
+
+
+def _render_command(state: _State, record: Recording | None) -> str | None:
+    """Returns the command that stores the frames which this call has rendered, or `None`."""
+    order, meta = state.order, state.dataset.meta
+    if record is not Recording.STATES or not state.exporter.renders or not state.frames:
+        return None
+    # the frames of a merged dataset cannot be stored, and a stored recording has no new instructions
+    if meta.sources or meta.relabelling is not None or isinstance(order.rig, Rig):
+        return None
+    rig = () if order.rig is None else ("--rig", order.rig)
+    return shlex.join(["factory", "render", str(order.root), *rig, "-o", _frames_place(order.root)])
+
+
+def _frames_place(root: Place) -> str:
+    """Returns a location for the frames of a states dataset: beside it, with `_frames` at the end of its name."""
+    named = root if not isinstance(root, Path) or root.name else root.resolve()
+    return f"{named}_frames"
 
 
 class _LeftOut(TypedDict):

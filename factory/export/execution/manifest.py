@@ -57,8 +57,9 @@ class ExportReport(Model):
     """Whether the export contains all selected episodes."""
     questions: QuestionCount | None = None
     """Numbers of questions; null if the episodes have none, or if the format does not contain questions."""
-    rendered: bool = False
-    """Whether the frames are rendered for this export, because the dataset stores states."""
+    render_command: str | None = None
+    """Command that stores the frames of the dataset, so that further exports do not render them again; null if this
+    call has rendered no frames, or if the frames of the dataset cannot be stored."""
 
     @property
     def finished(self) -> bool:

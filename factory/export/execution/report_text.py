@@ -13,6 +13,8 @@ from factory.support.text import format_duration
 from schemas.support.shell import quoted
 
 _NAMED = 5
+_LONG_S = 10
+"""Time of an export after which the hint to store the frames is printed, seconds."""
 
 
 class ExportBar(Bars):
@@ -73,6 +75,16 @@ def print_report(report: ExportReport) -> None:
     lacking = {"skipped": len(report.skipped), "missing in the dataset": len(report.absent)}
     state = ", ".join(f"{count} episodes {what}" for what, count in lacking.items() if count) or "complete"
     click.echo(f"{report.out}: {report.format}, {what}, {format_duration(report.seconds)}{speed}{asked}; {state}")
+
+
+def print_render_hint(report: ExportReport) -> None:
+    """Prints on stderr how to render the frames once for several exports, if this export has rendered for a while."""
+    if report.render_command is not None and report.seconds >= _LONG_S:
+        click.echo(
+            "the dataset stores states, so each export renders its frames again; for further exports, store them once "
+            f"and export the result: {report.render_command}",
+            err=True,
+        )
 
 
 def print_estimate(estimate: ExportEstimate) -> None:

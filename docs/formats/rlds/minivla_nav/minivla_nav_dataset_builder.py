@@ -5,7 +5,7 @@ Run by `build.py` beside this folder, or by `tfds build`, which needs apache-bea
     MINIVLA_DATASET=/data/office MINIVLA_FPS=10 python build.py /data/rlds
 
 `MINIVLA_FPS` (default: the dataset's rate) must divide the dataset's rate; `MINIVLA_IMAGE_PX` (default 256) is the side
-of the images.
+of the images. `MINIVLA_SPLITS=loaders` names the splits `train_id` and `val_id` as OpenVLA and Octo do: `train`, `val`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from factory.export.rlds import rlds_metadata, rlds_steps
 from minivla import Dataset
 
 _IMAGE_PX = int(os.environ.get("MINIVLA_IMAGE_PX", "256"))
+_SPLITS = {"train_id": "train", "val_id": "val"} if os.environ.get("MINIVLA_SPLITS") == "loaders" else {}
 _FPS = int(os.environ["MINIVLA_FPS"]) if "MINIVLA_FPS" in os.environ else None
 
 
@@ -67,7 +68,7 @@ class MinivlaNav(tfds.core.GeneratorBasedBuilder):
         del dl_manager  # nothing is downloaded
         dataset = Dataset(os.environ["MINIVLA_DATASET"])
         splits = dict.fromkeys(dataset.metadata["split"].to_pylist())
-        return {split: self._generate_examples(dataset.filter(split=split)) for split in splits}
+        return {_SPLITS.get(split, split): self._generate_examples(dataset.filter(split=split)) for split in splits}
 
     def _generate_examples(self, dataset: Dataset) -> Iterator[tuple[str, dict[str, Any]]]:
         for episode in dataset:
