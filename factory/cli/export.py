@@ -75,7 +75,14 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
 
 @click.command("export")
 @place_argument
-@click.option("--to", "format_name", required=True, type=FormatName(list(EXPORTERS)), help="Format of the export.")
+@click.option(
+    "--to",
+    "format_name",
+    required=True,
+    type=FormatName(list(EXPORTERS)),
+    metavar="FORMAT",
+    help=f"Format of the export. Values: {', '.join(EXPORTERS)}.",
+)
 @write_option("DIR", "Output directory. An interrupted export with the same options is continued.", required=True)
 @split_filter()
 @click.option(

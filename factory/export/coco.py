@@ -82,8 +82,8 @@ class CocoExporter(Exporter[CocoOptions, CocoFacts]):
             if export.out.has(name):
                 continue
             pieces = [piece for piece in export.pieces if piece.split == split]
-            with export.out.replacing(name) as part, part.open("w", encoding="utf-8") as file:
-                file.writelines(_annotations_json(pieces, {each: number for number, each in enumerate(names, 1)}))
+            with export.out.replacing(name) as part, part.open("w", encoding="utf-8") as written:
+                written.writelines(_annotations_json(pieces, {each: number for number, each in enumerate(names, 1)}))
         text = _CARD.format(names=", ".join(names), fps=export.options.fps or export.dataset.meta.plan.task.control_hz)
         card = export_card(export.dataset.meta, None, len(export.pieces), text, tags=("coco", "image-segmentation"))
         export.out.write_text(CARD_FILE, card)

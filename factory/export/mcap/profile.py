@@ -172,7 +172,7 @@ class BagTopic(NamedTuple):
     name: str
     kind: str
     """Message type."""
-    count: int
+    messages: int
     """Number of messages, at least 1."""
 
 
@@ -185,14 +185,14 @@ def bag_metadata(file: str, first_ns: int, last_ns: int, topics: Sequence[BagTop
         last_ns: time of the last message, nanoseconds.
         topics: topics of the file.
     """
-    count = sum(topic.count for topic in topics)
+    count = sum(topic.messages for topic in topics)
     return _BAG.format(
         file=file,
         start=first_ns,
         duration=last_ns - first_ns,
         count=count,
         topics="".join(
-            _BAG_TOPIC.format(name=one.name, kind=one.kind, qos=json.dumps(qos_of(one.name)), count=one.count)
+            _BAG_TOPIC.format(name=one.name, kind=one.kind, qos=json.dumps(qos_of(one.name)), count=one.messages)
             for one in topics
         ),
     )
