@@ -465,3 +465,20 @@ def test_images_that_a_policy_does_not_read_are_not_rendered_and_others_equal_re
             frame = simulator.shown.renderer.render(Pose(*simulator.track[step]))
             np.testing.assert_array_equal(rgb, frame.rgb)
             np.testing.assert_array_equal(depth, frame.depth)
+
+
+def test_two_classes_of_one_folder_are_not_hashed_together(
+    drives: Dataset, specs: SpecSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "code"
+    folder.mkdir()
+    for name in ("one_pilot", "other_pilot"):
+        text = "class Pilot:\n    def reset(self, *_): ...\n    def act(self, _):\n        return 0.0, 0.0\n"
+        (folder / f"{name}.py").write_text(text)
+    monkeypatch.chdir(folder)
+    names = ("one_pilot:Pilot", "other_pilot:Pilot")
+    campaign = campaign_of(drives, short(specs.only(None, 1), 2), *names)
+    drive(tmp_path / "out", campaign)
+    with open_store(tmp_path / "out", campaign) as store:
+        notes = [store.note_of(name) for name in names]
+    assert [[*note.made_from] for note in notes if note is not None] == [["one_pilot.py"], ["other_pilot.py"]]

@@ -21,7 +21,7 @@ from factory.eval.models.messages import (
     to_line,
 )
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies.registry import renders_apart
+from factory.eval.policies.registry import is_user_class, renders_apart
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from schemas.support.child import SAFE_PATH, child_environment, python_module
 from schemas.support.child_process import ChildProcess, Ended
@@ -72,6 +72,8 @@ class DriverProcess:
     def __init__(self) -> None:
         self._setup: EvalSetup | None = None
         self._renders_apart = False
+        self._imported = ""
+        """User class that the process has imported; empty without one."""
         self._process = ChildProcess(read_report, leave_s=_LEAVE_S)
         self._status: SharedStatus | None = None
         self.current: EvalTask | None = None
@@ -108,7 +110,8 @@ class DriverProcess:
         """Sends an order; starts a process if none is running. `poll` reports the end of the process.
 
         A process of another campaign is replaced. A process that renders itself is also replaced if the policy's
-        libraries conflict with those of OpenGL.
+        libraries conflict with those of OpenGL, and one that has imported another user class, whose modules would be
+        hashed as parts of this one.
         """
         task = order.task
         if task.setup != self._setup:
@@ -117,6 +120,10 @@ class DriverProcess:
         if renders_apart(task.reference) and not self._renders_apart:
             self.kill()
             self._renders_apart = True
+        if is_user_class(task.reference):
+            if self._imported not in ("", task.reference):
+                self.kill()
+            self._imported = task.reference
         if not self._process.is_started:
             self._start()
         self.current = task
