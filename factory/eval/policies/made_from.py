@@ -132,7 +132,7 @@ def _modules(name: str) -> Iterator[tuple[str, Path]]:
     inside = Path(next(iter(top.__path__))).resolve() if hasattr(top, "__path__") else root
     for module in list(sys.modules.values()):
         file = getattr(module, "__file__", None)
-        if not file or module.__name__.partition(".")[0] in _OWN:
+        if not file or getattr(module, "__name__", "").partition(".")[0] in _OWN:
             continue
         path = Path(file).resolve()
         if path.is_relative_to(inside) and path.is_file() and not _is_installed(path, inside):
