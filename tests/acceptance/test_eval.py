@@ -48,8 +48,8 @@ def test_the_result_files_have_the_expected_content(out: Path) -> None:
     assert table.num_rows == 4
     assert {"spec_id", "policy", "success", "spl", "final_ne_m", "track_x_m"} <= set(table.column_names)
     page = (out / "index.html").read_text()
-    assert page.count("<video controls") == page.count("data:video/mp4;base64,") == 1
-    assert page.count("data:image/jpeg;base64,") == 1
+    assert page.count("<video controls") == page.count("data:video/mp4;base64,") == 2  # a failure, and a pair
+    assert page.count("data:image/jpeg;base64,") == 2
     assert "http" not in page.replace("http-equiv", "")
     assert "Failures of stop" in page
 

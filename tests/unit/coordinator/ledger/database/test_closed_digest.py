@@ -22,7 +22,7 @@ def run(tmp_path):
 
 
 def _open_and_close(run: ArchivedRun) -> None:
-    with RunLedger(run.url, run.plan.run, lambda: run.timed_ledger.now) as ledger:
+    with RunLedger(run.url, run.plan.run, lambda: run.timed_ledger.now, 1.0) as ledger:
         ledger.start_writer()
         ledger.writer.call(lambda connection: connection.exec_driver_sql("UPDATE jobs SET misses = misses"))
 
@@ -56,7 +56,7 @@ def test_one_flipped_bit_changes_the_digest(run):
 def test_a_ledger_of_a_killed_coordinator_has_no_digest(run, tmp_path):
     _open_and_close(run)
     killed = tmp_path / "killed"
-    with RunLedger(run.url, run.plan.run, lambda: run.timed_ledger.now) as ledger:
+    with RunLedger(run.url, run.plan.run, lambda: run.timed_ledger.now, 1.0) as ledger:
         ledger.start_writer()
         ledger.writer.call(lambda connection: connection.exec_driver_sql("UPDATE jobs SET misses = 1"))
         shutil.copytree(run.root, killed)
@@ -64,7 +64,7 @@ def test_a_ledger_of_a_killed_coordinator_has_no_digest(run, tmp_path):
 
 
 def test_a_ledger_in_which_a_reader_found_damage_has_no_digest(run):
-    with RunLedger(run.url, run.plan.run, lambda: run.timed_ledger.now) as ledger:
+    with RunLedger(run.url, run.plan.run, lambda: run.timed_ledger.now, 1.0) as ledger:
         ledger.start_writer()
         with suppress(WorldError), ledger.reading() as connection:
             connection.exec_driver_sql("SELECT x FROM no_such_table")
