@@ -73,7 +73,16 @@ class Server:
         if self.config.robot_state_feature is not None:
             observation["observation.state"] = np.array(request["state"])
         with self.lock:
-            action = predict_action(observation, policy, self.device, *self.processors, False, request["prompt"])
+            before, after = self.processors
+            action = predict_action(
+                observation,
+                policy,
+                self.device,
+                preprocessor=before,
+                postprocessor=after,
+                use_amp=False,
+                task=request["prompt"],
+            )
         # an action of the export is the mean of the commands until its next frame, so it is held until then
         return np.tile(action.squeeze(0).cpu().numpy()[:2].astype(np.float32), (self.held, 1))
 

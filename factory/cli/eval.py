@@ -149,11 +149,12 @@ def run(
     Writes episodes.parquet, results.json and index.html to --out. The same command continues an interrupted evaluation.
     """
     from factory.eval.order import EvalOptions, make_campaign
-    from factory.eval.results.summary_text import resolution
     from factory.eval.results.text import print_evaluation
     from factory.support.logs import configure_logs
     from factory.support.terminal import print_result
 
+    if restart and out is None:
+        raise UsageError("--restart requires -o DIR, the folder of the former results")
     configure_logs()
     access = _network_access(listen, connect, tls=tls, out=out, workers=workers)
     options = EvalOptions(
@@ -177,11 +178,6 @@ def run(
     def show(evaluation: Evaluation) -> None:
         print_result(evaluation, as_json, lambda result: print_evaluation(result, all_tables))
 
-    if len(campaign.policies) > 1:
-        comparisons = math.comb(len(campaign.policies), 2)
-        click.echo(f"{resolution(len(campaign.specs.specs), comparisons)}; see `factory eval power`", err=True)
-    if restart and out is None:
-        raise UsageError("--restart requires -o DIR, the folder of the former results")
     return _evaluate(campaign, access, out, restart=restart, videos=videos, show=show)
 
 
@@ -221,7 +217,11 @@ def _evaluate(
     """
     from factory.eval.order import open_store, published, require_same_policies
     from factory.eval.results.publish import evaluation_of
+    from factory.eval.results.summary_text import resolution
 
+    if len(campaign.policies) > 1:
+        comparisons = math.comb(len(campaign.policies), 2)
+        click.echo(f"{resolution(len(campaign.specs.specs), comparisons)}; see `factory eval power`", err=True)
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         store = stack.enter_context(open_store(campaign, folder))

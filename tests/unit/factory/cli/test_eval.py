@@ -43,6 +43,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "is given for stop and for random; choose two names",
         ),
         (("--policy", "a=exprt"), "unknown policy 'exprt'; .*; did you mean 'expert'"),
+        (("--policy", "stop", "--restart"), "--restart requires -o DIR"),
         (("--policy", "exprt"), "unknown policy 'exprt'; .*; did you mean 'expert'"),
         (("--policy", "stop"), "has no episodes in test splits; evaluate on its other splits with --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),
