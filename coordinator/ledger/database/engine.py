@@ -20,7 +20,7 @@ from typing import Any
 
 import xxhash
 from sqlalchemy import URL, Engine, create_engine, event, make_url, text
-from sqlalchemy.engine import Connection
+from sqlalchemy.engine import Connection, ExceptionContext
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
 from sqlalchemy.pool import NullPool
 
@@ -217,7 +217,9 @@ def is_server(url: str) -> bool:
 
 def _create(url: str, **options: Any) -> Engine:
     try:
-        return create_engine(url, **options)
+        engine = create_engine(url, **options)
+        event.listen(engine, "handle_error", _close_lost_cursor)
+        return engine
     except ImportError as error:
         raise UsageError(
             f"cannot open ledger {shown_url(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and use a "
@@ -225,6 +227,14 @@ def _create(url: str, **options: Any) -> Engine:
         ) from error
     except (ArgumentError, NoSuchModuleError) as error:
         raise UsageError(f"cannot open ledger {shown_url(url)}: {error}; {_EXAMPLES}") from error
+
+
+def _close_lost_cursor(context: ExceptionContext) -> None:
+    """Closes the cursor of a lost connection, which SQLAlchemy leaves to the garbage collector; psycopg warns then."""
+    cursor = context.execution_context.cursor if context.execution_context is not None else None
+    if context.is_disconnect and cursor is not None:
+        with contextlib.suppress(Exception):  # the connection is lost; the error that is handled says so
+            cursor.close()
 
 
 def shown_url(url: str) -> str:
