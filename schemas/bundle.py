@@ -13,7 +13,16 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, IDS_FRAME, POSES, RGB_FRAME, ArraySpec
+from schemas.encoding.arrays import (
+    CORRECTION_ARRAYS,
+    DEPTH_FRAME,
+    EPISODE_ARRAYS,
+    EXPERT_ACTIONS,
+    IDS_FRAME,
+    POSES,
+    RGB_FRAME,
+    ArraySpec,
+)
 from schemas.encoding.container import MAX_CONTAINER_BYTES, ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.digest import content_digest, frame_digest
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
@@ -52,15 +61,30 @@ def _frame_names(t: int) -> tuple[str, str, str]:
     return f"rgb_front/{t:06d}.png", f"depth_front/{t:06d}.npy.zst", f"seg_front/{t:06d}.png"
 
 
-def member_names(frames: int, of_rig: Iterable[str] = ()) -> tuple[str, ...]:
+def member_names(frames: int, of_rig: Iterable[str] = (), *, is_corrected: bool = False) -> tuple[str, ...]:
     """Returns the member names of a bundle in the order of the file.
 
     Args:
         frames: number of stored frames.
         of_rig: names of the members that contain the measurements of a rig.
+        is_corrected: whether the bundle has the arrays of corrections.
     """
     of_frames = (name for t in range(frames) for name in _frame_names(t))
-    return (*of_frames, *of_rig, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
+    return (*of_frames, *of_rig, *(f"{spec.name}.npy" for spec in _specs(is_corrected)), _META)
+
+
+def _specs(is_corrected: bool) -> tuple[ArraySpec, ...]:
+    return (*EPISODE_ARRAYS, *CORRECTION_ARRAYS) if is_corrected else EPISODE_ARRAYS
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What the planner wanted in an episode that a policy drove, and who acted."""
+
+    expert_actions: NDArray[np.float32]
+    """(T, 2) twist that the planner wants at the pose of a step: v in m/s, w in rad/s; NaN without a label."""
+    drivers: NDArray[np.uint8]
+    """(T,) who acted, as `schemas.terms.Driver` numbers them."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +98,15 @@ class EpisodeArrays:
     poses: NDArray[np.float64]
     """(T, 7) poses of base_link in the world frame: x, y, z in metres, qw, qx, qy, qz."""
 
+    corrections: Corrections | None = None
+    """Corrections of the planner; `None` for a demonstration."""
+
     def in_order(self) -> tuple[NDArray[np.generic], ...]:
-        """Returns the arrays in the order of `EPISODE_ARRAYS`."""
-        return tuple(getattr(self, spec.name) for spec in EPISODE_ARRAYS)
+        """Returns the arrays in the order of `EPISODE_ARRAYS`, then those of `CORRECTION_ARRAYS`, if any."""
+        arrays = tuple(getattr(self, spec.name) for spec in EPISODE_ARRAYS)
+        if self.corrections is None:
+            return arrays
+        return (*arrays, *(getattr(self.corrections, spec.name) for spec in CORRECTION_ARRAYS))
 
 
 def seal(meta: EpisodeMeta, frame_digests: Sequence[str], arrays: EpisodeArrays) -> EpisodeMeta:
@@ -140,7 +170,7 @@ class BundleWriter:
         """
         meta = meta.model_copy(update={"sensor_digests": self._measurements.digests})
         sealed = seal(meta, self._digests, arrays)
-        for spec, array in zip(EPISODE_ARRAYS, arrays.in_order(), strict=True):
+        for spec, array in zip(_specs(arrays.corrections is not None), arrays.in_order(), strict=True):
             self._out.add(f"{spec.name}.npy", encode_npy(array))
         self._out.add(_META, sealed.model_dump_json(indent=1).encode())
         self._out.close()
@@ -167,18 +197,22 @@ class BundleReader(Closing):
         self.length = self.meta.rollout.num_steps if steps is None else steps
         if self.length > MAX_FRAMES:  # checked first, because `member_names` takes time and memory for each step
             raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
-        self.has_frames = len(self._in.names) > _STATES_MEMBERS
+        is_corrected = f"{EXPERT_ACTIONS.name}.npy" in self._in.names
+        tail = _STATES_MEMBERS + (len(CORRECTION_ARRAYS) if is_corrected else 0)
+        self.has_frames = len(self._in.names) > tail
         """Whether the bundle stores frames; a states recording does not."""
-        self.has_sensors = self.has_frames and self._in.names[-_STATES_MEMBERS - 1].startswith(SENSORS)
+        self.has_sensors = self.has_frames and self._in.names[-tail - 1].startswith(SENSORS)
         """Whether the bundle stores the measurements of a rig."""
         of_rig = members_of_rig(self._rig(), self.length, self.control_hz) if self.has_sensors else ()
-        expected = member_names(self.length if self.has_frames else 0, of_rig)
+        expected = member_names(self.length if self.has_frames else 0, of_rig, is_corrected=is_corrected)
         if self._in.names != expected:
             raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))
-        arrays = {spec.name: self._array(spec) for spec in EPISODE_ARRAYS}
+        arrays: dict[str, NDArray[Any]] = {spec.name: self._array(spec) for spec in _specs(is_corrected)}
+        corrections = Corrections(*(arrays.pop(spec.name) for spec in CORRECTION_ARRAYS)) if is_corrected else None
         self.pose_dtype = arrays[POSES.name].dtype
         """Type of the stored poses; float32 in bundles of format 1."""
-        self.arrays = EpisodeArrays(**{**arrays, POSES.name: arrays[POSES.name].astype(POSES.dtype)})
+        arrays[POSES.name] = arrays[POSES.name].astype(POSES.dtype)
+        self.arrays = EpisodeArrays(**arrays, corrections=corrections)
 
     @property
     def episode_id(self) -> str:

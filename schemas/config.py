@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
+from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive, Sha256
 from schemas.terms import FAR_FLOOR_M, Screening, SuccessMeasure
 
 
@@ -55,6 +55,39 @@ class DemonstrationConfig(Model):
     target_in_view: bool = False
     """Whether the last frame must show the target, with at least `gains.min_mask_px` pixels; the planner then ends its
     paths with the target ahead."""
+
+
+class CorrectionConfig(Model):
+    """Parameters of an episode that a policy drives, with the planner's action beside it.
+
+    The planner takes over before a collision, after a stop outside the success region, and early enough to arrive
+    within the step limit, so every recorded episode is a success. Design: docs/training/corrections.md.
+    """
+
+    policy: Line
+    """Name of the policy, as `--policy` takes it."""
+    made_from: Sha256
+    """Digest of the hashes of its source files, of its checkpoint, or of its server's greeting."""
+    round: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Number of the round of corrections."""
+    expert_share: Fraction = 0.0
+    """Probability that the planner acts in a label period although no takeover is due (beta of DAgger)."""
+    disturbed_share: Fraction = 0.25
+    """Share of episodes that begin with random actions for `disturbance_s`, which lead off the planner's paths."""
+    disturbance_s: Annotated[float, Field(gt=0, le=5)] = 1.2
+    """Time of random actions, seconds."""
+    label_steps: Annotated[int, Field(ge=1, le=60)] = 6
+    """Steps between two labels; who acts can change only then."""
+    look_ahead_s: Annotated[float, Field(gt=0, le=5)] = 0.7
+    """The planner takes over if the current command would lead to a collision within this time, seconds."""
+    standstill_s: Annotated[float, Field(gt=0, le=10)] = 0.8
+    """The planner takes over if the policy stands still outside the success region for this time, seconds."""
+    takeover_s: Annotated[float, Field(gt=0, le=15)] = 2.0
+    """Time for which the planner drives after a takeover, seconds."""
+    takeovers: Annotated[int, Field(ge=0, le=100)] = 4
+    """Number of takeovers after which the policy drives again; after the next one, the planner drives to the end."""
+    target_in_view: bool = False
+    """Whether the planner ends its paths with the target ahead, as `demonstration.target_in_view` of the training."""
 
 
 class RobotConfig(Model):

@@ -11,6 +11,7 @@ from pydantic import Field
 from schemas.base import Bytes, Count, Line, Ordinal, Sha256
 from schemas.config import (
     CameraConfig,
+    CorrectionConfig,
     DemonstrationConfig,
     ExpertConfig,
     PlannerConfig,
@@ -28,9 +29,9 @@ from schemas.view import ViewSettings
 
 EPISODE_ID_FORMAT = "ep_{:06d}"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip", re.ASCII)
-_SAMPLE_KEY, _LANGUAGE_KEY, _QUESTION_KEY = (1,), (23,), (25,)
-"""Spawn keys of the random streams for sampled frames, the sentence and questions; the keys differ from those
-of attempts."""
+_SAMPLE_KEY, _LANGUAGE_KEY, _QUESTION_KEY, _CORRECTION_KEY = (1,), (23,), (25,), (31,)
+"""Spawn keys of the random streams for sampled frames, the sentence, questions and corrections; the keys
+differ from those of attempts."""
 
 
 def episode_id(index: int) -> str:
@@ -88,6 +89,8 @@ class Job(EpisodeSpec):
         default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
     )
     """Requirements on a demonstration; omitted if there are none."""
+    correction: CorrectionConfig | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Policy that drives, with the planner's actions beside it; null and omitted for a demonstration."""
     record: Recording = Field(default=Recording.FRAMES, exclude_if=lambda it: it is Recording.FRAMES)
     """Content that the episode stores; omitted for frames, so older digests stay valid."""
     view: ViewSettings = Field(default=ViewSettings(), exclude_if=lambda view: view == ViewSettings())
@@ -102,6 +105,12 @@ class Job(EpisodeSpec):
     def choice(self) -> TargetChoice | None:
         """Draw of the target at the start; `None` if the plan names the target."""
         return None if self.start_view is None else self.start_view.choice
+
+    @property
+    def faces_target(self) -> bool:
+        """Whether the planner ends its paths with the target ahead."""
+        correction = self.correction
+        return self.demonstration.target_in_view or (correction is not None and correction.target_in_view)
 
     def aimed_at(self, target: Target) -> Self:
         """Returns the job with the target that was drawn at the start."""
@@ -124,6 +133,12 @@ class Job(EpisodeSpec):
         """Returns the random generator of the attempt's questions."""
         return np.random.default_rng(
             np.random.SeedSequence((self.root_seed, self.index, self.attempt), spawn_key=_QUESTION_KEY)
+        )
+
+    def correction_rng(self) -> np.random.Generator:
+        """Returns the random generator of disturbances and of the choice who acts."""
+        return np.random.default_rng(
+            np.random.SeedSequence((self.root_seed, self.index, self.attempt), spawn_key=_CORRECTION_KEY)
         )
 
     def sampled_steps(self, steps: int) -> tuple[int, ...]:

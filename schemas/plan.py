@@ -23,6 +23,7 @@ from pydantic import (
 from schemas.base import Fraction, Model, Name
 from schemas.config import (
     CameraConfig,
+    CorrectionConfig,
     DemonstrationConfig,
     ExpertConfig,
     InstructionConfig,
@@ -129,6 +130,8 @@ class Plan(Model):
         default=DemonstrationConfig(), exclude_if=lambda wanted: wanted == DemonstrationConfig()
     )
     """Requirements on a demonstration; omitted if there are none."""
+    correction: CorrectionConfig | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Policy whose episodes the planner corrects; only `factory correct` sets it. Null and omitted for others."""
     extends: Annotated[str, Field(max_length=_MAX_EXTENDED_CHARS)] | None = Field(
         default=None, exclude_if=lambda it: it is None
     )
@@ -172,6 +175,8 @@ class Plan(Model):
             )
         if self.language is not None:
             mistakes += _language_faults(self, self.language)
+        if self.correction is not None and self.expert is not ExpertName.PLANNER:
+            mistakes.append(f'correction: the expert {self.expert} has no action for any pose: set expert = "planner"')
         if self.rig is not None:
             mistakes += rig_faults(self.rig, self.task.control_hz, self.task.max_steps)
         if self.extends is not None:

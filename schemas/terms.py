@@ -6,7 +6,7 @@ Contains tables of the paper (Tables II-IV, Sec. III) as data. Computes nothing.
 from __future__ import annotations
 
 import re
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
@@ -81,6 +81,14 @@ class ExpertName(StrEnum):
         return self is not ExpertName.PLANNER
 
 
+class Driver(IntEnum):
+    """Who acted in a step of an episode with corrections."""
+
+    EXPERT = 0  # the planner
+    POLICY = 1  # the policy that is corrected
+    DISTURBANCE = 2  # random actions at the beginning
+
+
 class Recording(StrEnum):
     """Content that an episode stores (docs/dataset.md#recordings).
 
@@ -118,7 +126,7 @@ class EndReason(StrEnum):
 
 
 class FailReason(StrEnum):
-    """Reason why an attempt produced no episode; the first eight count against the attempt budget."""
+    """Reason why an attempt produced no episode; those of the task count against the attempt budget."""
 
     SPAWN = "spawn"  # no valid start pose was found
     COLLISION = "collision"  # the expert stalled at an obstacle
@@ -127,6 +135,7 @@ class FailReason(StrEnum):
     CONTACT = "contact"  # the robot touched something in more steps than the plan allows
     NOT_IN_VIEW = "not_in_view"  # the last frame does not show the target, although the plan requires it
     NO_VIEW = "no_view"  # the start view is one flat surface, or an expert that uses images never saw the target
+    POLICY = "policy"  # the policy that is corrected raised, hung, or gave no valid action
     LAYOUT = "layout"  # the seed of a layout gives no valid layout, or one that cannot fulfil the plan
     INVALID = "invalid"  # validation rejected the bundle
     CRASH = "crash"  # the simulation process crashed

@@ -217,6 +217,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         view=_view(plan, entry),
         start_view=_start_view(plan, entry, planned),
         demonstration=_demonstration(plan, planned.episode),
+        correction=plan.correction,
         language=None if plan.language is None else plan.language.of_episode(planned.index),
     )
 

@@ -95,6 +95,8 @@ def _format_findings(bundle: BundleReader) -> list[str]:
         findings.append(f"poses.npy has {bundle.pose_dtype}; bundles of format {meta.format} have {np.dtype(wanted)}")
     if bundle.has_frames != (record is Recording.FRAMES):
         findings.append(f"the bundle {'has' if bundle.has_frames else 'lacks'} frames, but its job records {record}")
+    if (bundle.arrays.corrections is None) != (meta.job.correction is None):
+        findings.append(f"the bundle {'lacks' if meta.job.correction else 'has'} corrections, contrary to its job")
     is_counted = record is Recording.FRAMES or meta.job.expert.uses_images
     if (meta.rollout.steps_visible is not None) != is_counted:
         seen, expert = meta.rollout.steps_visible, meta.job.expert

@@ -22,6 +22,7 @@ from factory.cli.options import (
     listen_option,
     number_option,
     place_argument,
+    policy_limit_options,
     renderer_option,
     rig_option,
     split_filter,
@@ -83,10 +84,7 @@ def command() -> None:
     "DIR",
     "Output directory. An interrupted evaluation with the same options is continued. Default: no output files.",
 )
-@number_option("SECONDS", "--act-timeout", 10.0, "Timeout for each action, seconds.", least=0.01)
-@number_option(
-    "SECONDS", "--load-timeout", 300.0, "Timeout for loading the policy and for each reset, seconds.", least=0.1
-)
+@policy_limit_options
 @click.option(
     "--latency",
     callback=lambda _context, _option, value: _latency_of(value),

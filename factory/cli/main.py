@@ -64,6 +64,7 @@ VERBS = MappingProxyType(
         "export": CommandEntry(_USE, "Convert a dataset to another format."),
         "relabel": CommandEntry(_USE, "Write new verified instructions for a dataset."),
         "push": CommandEntry(_USE, "Upload a dataset or an export to the Hugging Face Hub."),
+        "correct": CommandEntry(_LEARN, "Record the planner's corrections of a policy that drives."),
         "train": CommandEntry(_LEARN, "Train baseline policies. Requires the extra `train`."),
         "eval": CommandEntry(_LEARN, "Evaluate policies in closed loop on the episodes of a dataset."),
         "coordinator": CommandEntry(_FARM, "Start the coordinator of a run whose workers are on other hosts."),

@@ -374,6 +374,13 @@ def number_option(
     return click.option(flag, *names, type=kind, default=default, show_default=shows, metavar=metavar, help=text)
 
 
+def policy_limit_options(command: Command) -> Command:
+    """Adds `--act-timeout` and `--load-timeout`: time limits of a policy."""
+    act = number_option("SECONDS", "--act-timeout", 10.0, "Timeout for each action, seconds.", least=0.01)
+    text = "Timeout for loading the policy and for each reset, seconds."
+    return act(number_option("SECONDS", "--load-timeout", 300.0, text, least=0.1)(command))
+
+
 def write_option(
     metavar: str, text: str, name: str = "out", *, required: bool = False, **checks: bool
 ) -> Callable[[Command], Command]:

@@ -12,6 +12,7 @@ from factory.cli.options import (
     connect_option,
     count_option,
     number_option,
+    policy_limit_options,
     renderer_option,
     tls_option,
     verbose_option,
@@ -19,6 +20,10 @@ from factory.cli.options import (
 
 if TYPE_CHECKING:
     from schemas.terms import RendererKind
+
+
+_SPARE_S = 30.0
+"""Time beyond the limits of a policy after which its simulation counts as hung, seconds."""
 
 
 @click.command("worker")
@@ -42,6 +47,12 @@ if TYPE_CHECKING:
     "wait_s",
     least=0.0,
 )
+@click.option(
+    "--policy",
+    metavar="POLICY",
+    help="Policy that drives in a run of `factory correct`, as in that command; its files must have the same content.",
+)
+@policy_limit_options
 @click.option("--import-policies", is_flag=True, help="Allow evaluations to import policy classes on this host.")
 @click.option("--until-eof", is_flag=True, hidden=True, help="Stop when stdin is closed.")
 @tls_option
@@ -52,6 +63,9 @@ def command(
     renderer: RendererKind,
     spool: Path | None,
     wait_s: float,
+    policy: str | None,
+    act_timeout: float,
+    load_timeout: float,
     import_policies: bool,
     until_eof: bool,
     tls: Path | None,
@@ -64,6 +78,8 @@ def command(
     """
     from coordinator.protocol.tls import read_credentials
     from coordinator.validation.validator import Validator
+    from factory.correct.driver import check_corrected
+    from factory.correct.order import simulation_of
     from factory.scenes.requirements import can_build
     from factory.support.listen import require_endpoints
     from factory.support.logs import configure_logs
@@ -75,7 +91,12 @@ def command(
 
     configure_logs(verbose)
     require_package("pybullet", "`factory worker`")
+    if policy is not None:
+        check_corrected(policy)
     more: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
+    if policy is not None:
+        more["command"] = simulation_of(policy, renderer, act_timeout, load_timeout)
+        more["start_s"] = more["hang_s"] = load_timeout + _SPARE_S
     policies = ["--import-policies"] if import_policies else []
     require_endpoints(connect, with_tls=tls is not None)
     if tls is not None:

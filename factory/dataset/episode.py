@@ -20,7 +20,7 @@ from factory.dataset.bundle import EpisodeBundle
 from factory.dataset.packages import ScenePackage
 from factory.dataset.steps import read_questions, read_steps
 from schemas.appearance import Appearance, DrawnAppearance
-from schemas.bundle import BundleReader
+from schemas.bundle import BundleReader, Corrections
 from schemas.dataset.rows import EpisodeSummary
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta
@@ -119,6 +119,11 @@ class Episode(Closing):
     def tokens(self) -> NDArray[np.int16]:
         """(T, 2) action tokens on the 7 x 7 grid, 0..6."""
         return self._bundle().arrays.actions_tokens
+
+    @property
+    def corrections(self) -> Corrections | None:
+        """Actions of the planner and who acted, in an episode that a policy drove; `None` for a demonstration."""
+        return self._bundle().arrays.corrections
 
     @property
     def poses(self) -> NDArray[np.float64]:

@@ -111,6 +111,10 @@ class LocalRun:
     """Shard of the run to generate; `None` for the whole run."""
     take_over: bool = False
     """Whether to take over `store` from another state directory, whose coordinator must have ended."""
+    worker_options: tuple[str, ...] = ()
+    """Further options of `factory worker`."""
+    continued_by: str = ""
+    """Command line that continues the run; empty selects that of `factory run` or `factory render`."""
     cluster: RayCluster | None = None
     """Cluster that runs the workers; `None` runs them on this machine."""
     extends: Path | None = None
@@ -119,6 +123,8 @@ class LocalRun:
     @property
     def command(self) -> str:
         """Command line that continues the run."""
+        if self.continued_by:
+            return self.continued_by
         if self.extends is not None:
             return f"factory run --extend --out {quoted(self.extends)}"
         site = self.store or self.root
@@ -221,6 +227,7 @@ class _WorkerPool(Closing):
         self._command = [
             *python_module("factory", "worker", "--cores", "1", "--connect", endpoint, "--until-eof"),
             *("--renderer", run.renderer, "--spool", str(run.root / _SPOOL)),
+            *run.worker_options,
             *(("--verbose",) if run.verbose else ()),
         ]
         self._deaths = 0

@@ -58,6 +58,8 @@ class ArraySpec:
     def value_violations(self, array: NDArray[Any]) -> list[str]:
         """Returns the violations of the bounds by an array whose shape and dtype were checked before."""
         has_bounds = self.low is not None or self.high is not None
+        if has_bounds and self.may_be_nan:
+            array = array[~np.isnan(array).any(axis=-1)]  # a row without a value has no bounds
         is_free = array.dtype.kind != "f" or self.may_be_nan
         if array.size == 0 or (not has_bounds and (is_free or np.isfinite(array).all())):
             return []
@@ -106,6 +108,23 @@ ACTIONS_TOKENS = ArraySpec("actions_tokens", (None, 2), dtype=np.int16, unit="to
 POSES = ArraySpec("poses", (None, 7), np.float64, "(m, m, m, quaternion w x y z)", former_dtype=np.float32)
 """Pose of base_link in the world frame at each frame: (x, y, z, qw, qx, qy, qz); exact, so the frame can be
 rendered again."""
+
+EXPERT_ACTIONS = ArraySpec(
+    "expert_actions",
+    (None, 2),
+    dtype=np.float32,
+    unit="(m/s, rad/s)",
+    low=(0.0, -1.5),
+    high=(1.0, 1.5),
+    may_be_nan=True,
+)
+"""Twist (v, w) that the planner wants at the pose of a step, before the slew limit; NaN in steps without a label."""
+
+DRIVERS = ArraySpec("drivers", (None,), dtype=np.uint8, unit="who acts", low=0, high=2)
+"""Who acted in each step, as `schemas.terms.Driver` numbers them."""
+
+CORRECTION_ARRAYS = (EXPERT_ACTIONS, DRIVERS)
+"""Arrays of an episode with corrections, after those of every bundle."""
 
 EPISODE_ARRAYS = (ACTIONS_CONTINUOUS, ACTIONS_TOKENS, POSES)
 """Arrays of a bundle other than frames, in the order of the file."""

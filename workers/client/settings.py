@@ -50,6 +50,8 @@ class WorkerSettings:
     """Folder of compiled scenes by digest; all workers of the host may share it."""
     hang_s: float = 60.0
     """Time without progress after which a simulation is killed as hung, scene loading included, seconds."""
+    start_s: float = 60.0
+    """Time without a report after which a starting simulation is killed, seconds."""
     pause_s: float = 1.0
     """Pause of a simulation slot after a crash, a hang or a release, seconds; it doubles with each consecutive failure,
     up to one minute."""

@@ -49,7 +49,7 @@ class Slot:
 
     def __init__(self, host: Host) -> None:
         self._host = host
-        self._simulation = Simulation(host.command, host.settings.hang_s)
+        self._simulation = Simulation(host.command, host.settings.hang_s, host.settings.start_s)
         self._builder = Simulation(host.settings.build_command, _BUILD_S)
         self._backoff = Backoff(host.settings.pause_s, 60.0)
         self._failing = Repeated(log, "attempts_failing")
@@ -186,7 +186,10 @@ class Slot:
             states=given.states,
         )
         self._simulation.order(order)
-        return self._receive_result(self._simulation, lease)
+        report = self._receive_result(self._simulation, lease)
+        if report.reason is FailReason.POLICY:
+            self._simulation.kill()  # a policy that hung ends its process, and one that raised may be in any state
+        return report
 
     def _build(self, order: BuildOrder, lease: Lease) -> SimulationReport:
         """Builds a layout in a separate process, which keeps textures for the next build."""

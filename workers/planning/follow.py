@@ -118,15 +118,25 @@ def _leg(run: list[Waypoint], turn_rad: float) -> Leg:
 
 
 class Follower:
-    """Controller that follows one path; call `act` once at each step."""
+    """Controller that follows one path; call `act` once at each step.
 
-    def __init__(self, path: tuple[Waypoint, ...], robot: RobotConfig, config: PlannerConfig) -> None:
+    Args:
+        path: path from the pose of the robot.
+        robot: limits of speed and yaw rate.
+        config: parameters of the pursuit.
+        is_moving: whether the robot drives at the start of the path; a robot at rest first turns to the path, which is
+            discretised to headings of 10 degrees, so a driving robot would stop for nothing.
+    """
+
+    def __init__(
+        self, path: tuple[Waypoint, ...], robot: RobotConfig, config: PlannerConfig, *, is_moving: bool = False
+    ) -> None:
         self._legs = legs_of(path)
         self._robot = robot
         self._config = config
         self._number = 0
         self._along_m = 0.0
-        self._turning = True
+        self._turning = not (is_moving and self._legs and self._legs[0].turn_rad == 0)
 
     @property
     def is_done(self) -> bool:

@@ -36,6 +36,7 @@ from workers.sim.aim import (
 )
 from workers.sim.appearance import show_appearance
 from workers.sim.context import LoadedScene, SimulationContext
+from workers.sim.correct import CorrectedPolicy, PolicyError, begin_correction
 from workers.sim.recording import LoadedSurroundings, add_frames, add_measurements, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.spawn import draw_poses, is_spawn_stable
@@ -150,7 +151,15 @@ def _drive_and_seal(
     job, target = aim.job, aim.target
     start = world.pose()
     context.timer("start")
-    rollout = drive(job, target, world, context.renderer, expert, attempt.on_step, context.timer)
+    try:
+        if job.correction is not None:
+            words = job.instruction if aim.instruction is None else aim.instruction.text
+            expert = begin_correction(job, expert, context.driver, scene.grid, words)
+        rollout = drive(job, target, world, context.renderer, expert, attempt.on_step, context.timer)
+    except PolicyError as error:
+        return AttemptFailure(FailReason.POLICY, str(error), 0)
+    if isinstance(expert, CorrectedPolicy):
+        rollout = replace(rollout, arrays=replace(rollout.arrays, corrections=expert.corrections()))
     poses = rollout.arrays.poses
     if rollout.end_reason is not EndReason.SUCCESS:
         if rollout.steps_visible == 0 and not job.is_false_premise:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from schemas.language.scene import SceneLanguage
     from schemas.start_survey import ExchangeSurvey
     from workers.sensors.rays import SceneRays
+    from workers.sim.correct import PolicyDriver
 
 
 _PACKAGES = ("isal", "minivla-factory", "moderngl", "numpy", "pybullet", "zstandard")
@@ -127,6 +128,7 @@ class SimulationContext(Closing):
         timer: StageTimer = no_stage_timer,
         apart: bool = False,
         kept_scenes: int = KEPT_SCENES,
+        driver: PolicyDriver | None = None,
     ) -> None:
         """Opens the renderer.
 
@@ -135,8 +137,9 @@ class SimulationContext(Closing):
             timer: called at the end of every stage of every attempt.
             apart: whether the renderer runs in a separate process, see `open_renderer`.
             kept_scenes: number of scenes that stay loaded and prepared.
+            driver: policy that drives the episodes with corrections; `None` if this process simulates none.
         """
-        self.timer = timer
+        self.timer, self.driver = timer, driver
         self.renderer: Renderer = open_renderer(renderer_kind, timer=timer, apart=apart, kept_scenes=kept_scenes)
         self._kept_scenes = kept_scenes
         self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)

@@ -26,11 +26,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from schemas.errors import FactoryError
-from schemas.terms import FailReason
+from schemas.terms import FailReason, RendererKind
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure, to_line
 from workers.process.pipes import listen, take_stdout
 from workers.sim.attempt import AttemptFailure, run_attempt
 from workers.sim.context import SimulationContext
+from workers.sim.correct import PolicyDriver, PolicyUnavailable
 from workers.sim.render_recording import render_recording
 
 _PROGRESS_S = 0.25
@@ -46,7 +47,19 @@ def main() -> int:
     """Serves orders until stdin closes; returns 3 after an unexpected exception, because its state may be invalid."""
     parser = argparse.ArgumentParser(prog="workers.sim.simulate", description="Simulates attempts for a supervisor.")
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
-    arguments = parser.parse_args()
+    return serve(parser.parse_args().renderer, lambda _send: None)
+
+
+def serve(
+    renderer: RendererKind, open_driver: Callable[[SendReport], PolicyDriver | None], *, apart: bool = False
+) -> int:
+    """Serves orders until stdin closes, and returns the exit status.
+
+    Args:
+        renderer: renderer of the process.
+        open_driver: returns the policy of episodes with corrections; gets the function that sends reports.
+        apart: whether the renderer runs in a separate process.
+    """
     faulthandler.enable()
     out = take_stdout()
     orders = listen(0)
@@ -55,7 +68,8 @@ def main() -> int:
         out.write(to_line(report))
 
     try:
-        with SimulationContext(arguments.renderer, kept_scenes=_KEPT_SCENES) as context:
+        driver = open_driver(send)
+        with SimulationContext(renderer, apart=apart, kept_scenes=_KEPT_SCENES, driver=driver) as context:
             send(SimulationReport(kind=SimulationReportKind.READY, renderer=context.renderer.description))
             while _serve(SimulationOrder.model_validate_json(orders.get()), context, send):
                 pass
@@ -74,6 +88,8 @@ def _serve(order: SimulationOrder, context: SimulationContext, send: SendReport)
     is_valid = True
     try:
         report = _attempt(order, context, part, progress)
+    except PolicyUnavailable as error:
+        report, is_valid = failure(FailReason.RELEASED, str(error), progress.step, progress.seconds()), False
     except FactoryError as error:
         report = failure(FailReason.CRASH, str(error), progress.step, progress.seconds())
     except OSError as error:

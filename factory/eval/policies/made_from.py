@@ -113,6 +113,11 @@ def another_policy(name: str, former: Mapping[str, str], now: Mapping[str, str],
     )
 
 
+def digest_of(hashes: Mapping[str, str]) -> str:
+    """Returns one SHA-256 of all hashes."""
+    return _of_text(dict(hashes))
+
+
 def describe(hashes: Mapping[str, str]) -> str:
     """Returns a short text of all hashes; empty without any."""
     if not hashes:
@@ -120,7 +125,7 @@ def describe(hashes: Mapping[str, str]) -> str:
     if len(hashes) == 1:
         ((name, value),) = hashes.items()
         return f"{name} {value[:_SHOWN]}"
-    return f"{len(hashes)} files {_of_text(dict(hashes))[:_SHOWN]}"
+    return f"{len(hashes)} files {digest_of(hashes)[:_SHOWN]}"
 
 
 def _modules(name: str) -> Iterator[tuple[str, Path]]:

@@ -1,0 +1,1 @@
+"""Corrections: a policy drives, and the planner's action is recorded at every pose that it visits."""
