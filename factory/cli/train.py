@@ -9,6 +9,7 @@ import click
 
 from factory.cli.groups import CommandGroup
 from factory.cli.options import (
+    PLACE,
     appearance_option,
     count_option,
     json_option,
@@ -26,7 +27,7 @@ from schemas.terms import Split
 if TYPE_CHECKING:
     from factory.dataset.reader import Dataset
     from factory.train.measures import TrainReport
-    from factory.train.options import Head
+    from factory.train.options import Head, StopRule
     from schemas.storage.place import Place
 
 
@@ -63,6 +64,21 @@ def command() -> None:
     default="continuous",
     show_default=True,
     help="Output head. continuous: linear and angular velocity; tokens: tokens of the action grid.",
+)
+@click.option(
+    "--corrections",
+    type=PLACE,
+    multiple=True,
+    metavar="DIR|URL",
+    help="Dataset of `factory correct` to train on, too; repeatable, once for each round.",
+)
+@click.option(
+    "--stop-labels",
+    "stops",
+    type=click.Choice(["success", "braking"]),
+    default="success",
+    show_default=True,
+    help="When a stop is the right answer. success: where a stop succeeds; braking: where the demonstration brakes.",
 )
 @click.option("--ablate-language", is_flag=True, help="Replace each instruction with one constant token.")
 @click.option(
@@ -121,6 +137,8 @@ def bc(
     minutes: float | None,
     seed: int,
     head: Head,
+    corrections: tuple[Place, ...],
+    stops: StopRule,
     ablate_language: bool,
     positions: bool,
     size: str,
@@ -157,6 +175,7 @@ def bc(
             head=head,
             ablate_language=ablate_language,
             positions=positions,
+            stops=stops,
             epochs=epochs,
             seed=seed,
             size=int(size),
@@ -170,7 +189,14 @@ def bc(
     columns = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
     dataset = Dataset(root, appearance=appearance).filter(**columns)
     order = TrainOrder(
-        dataset, out, options, Split(split), device=device, minutes=minutes, memory_bytes=int(memory * 1e9)
+        dataset,
+        out,
+        options,
+        Split(split),
+        device=device,
+        minutes=minutes,
+        corrections=tuple(_corrections_in(place, appearance) for place in corrections),
+        memory_bytes=int(memory * 1e9),
     )
     with stop_on_signals() as (stop, _), TrainBar(epochs) as bar:
         report = train_bc(order, TrainCallbacks(bar.caching, bar.learning, bar.measured, stop.is_set))
@@ -179,6 +205,17 @@ def bc(
         click.echo(f"{len(report.epochs)} of {epochs} epochs done; run the same command again to continue", err=True)
         return 130 if stop.is_set() else 0
     return 0
+
+
+def _corrections_in(place: Place, appearance: str | None) -> Dataset:
+    from factory.dataset.reader import Dataset
+
+    dataset = Dataset(place, appearance=appearance)
+    if dataset.meta.plan.correction is None:
+        raise UsageError(f"--corrections {place}: plan {dataset.meta.plan.name} is not one of `factory correct`")
+    if not len(dataset):
+        raise UsageError(f"--corrections {place} has no episodes; `factory correct` with the same options continues it")
+    return dataset
 
 
 def _show(report: TrainReport, dataset: Dataset, out: Path, as_json: bool) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ from factory.train.checkpoint import (
     write_atomically,
     write_checkpoint,
 )
-from factory.train.frames import TrainingFrames
+from factory.train.frames import TrainingFrames, join_frames
 from factory.train.measures import EpochMeasures, TrainReport
 from factory.train.options import BcOptions, CheckpointMeta, TrainingStarts
 from factory.train.pictures import open_cache, render_frames
@@ -57,6 +57,8 @@ class TrainOrder:
     device: str = "auto"
     minutes: float | None = None
     """Time limit, minutes: an epoch that would end later is not started. `None` means no limit."""
+    corrections: tuple[Dataset, ...] = ()
+    """Datasets of `factory correct`, whose episodes are added to those of the split."""
     memory_bytes: int = 2_000_000_000
     """Memory for the rendered frames of each split of a states dataset; does not change the result."""
 
@@ -162,7 +164,8 @@ def _require_same_data(checkpoint: Checkpoint, meta: CheckpointMeta, out: Path) 
     if (then.train_digest, then.words, then.appearance) != (meta.train_digest, meta.words, meta.appearance):
         raise UsageError(
             f"{out} contains a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): "
-            "give the same dataset, --split, --scene, --tier and --appearance to continue it, or choose another --out"
+            "give the same dataset, --corrections, --split, --scene, --tier and --appearance to continue it, or choose "
+            "another --out"
         )
 
 
@@ -188,22 +191,27 @@ def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrame
         if callbacks.is_stopped():
             raise KeyboardInterrupt
 
+    episodes = len(part) + sum(map(len, order.corrections))
+
     def frames_of(dataset: Dataset) -> TrainingFrames:
-        if order.dataset.meta.plan.record is Recording.FRAMES:
-            return open_cache(dataset, options.size, hold=options.hold, root=cache_directory() / "train", tell=tell)
+        if dataset.meta.plan.record is Recording.FRAMES:
+            root = cache_directory() / "train"
+            return open_cache(dataset, options.size, hold=options.hold, stops=options.stops, root=root, tell=tell)
         return render_frames(
             dataset,
             options.size,
             hold=options.hold,
+            stops=options.stops,
             antialias=options.antialias,
-            memory_bytes=order.memory_bytes,
+            memory_bytes=order.memory_bytes * len(dataset) // max(len(dataset), episodes),
             tell=tell,
         )
 
     val = (
         order.dataset.filter(split=Split.VAL_ID) if order.split is not Split.VAL_ID else order.dataset.filter(split=())
     )
-    return frames_of(part), frames_of(val) if len(val) else None
+    train = join_frames([frames_of(part), *map(frames_of, order.corrections)])
+    return train, frames_of(val) if len(val) else None
 
 
 def _meta(order: TrainOrder, train: TrainingFrames) -> CheckpointMeta:
@@ -220,17 +228,18 @@ def _meta(order: TrainOrder, train: TrainingFrames) -> CheckpointMeta:
         appearance=order.dataset.appearance,
         train_episodes=len(index.episodes),
         train_frames=len(train),
-        starts=_starts(order.dataset.filter(split=order.split)),
+        starts=_starts((order.dataset.filter(split=order.split), *order.corrections)),
         software=f"minivla-factory {version}, torch {load_torch().__version__}",
     )
 
 
-def _starts(dataset: Dataset) -> TrainingStarts:
+def _starts(datasets: Iterable[Dataset]) -> TrainingStarts:
     scenes: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
     names = ("scene_sha256", "target_id", "spawn_x_m", "spawn_y_m", "spawn_yaw_rad")
-    for scene, target, *pose in zip(*(dataset.column(name).to_pylist() for name in names), strict=True):
-        x, y, yaw = (round(value, 4) for value in pose)
-        scenes.setdefault(scene, {}).setdefault(target, []).append((x, y, yaw))
+    for dataset in datasets:
+        for scene, target, *pose in zip(*(dataset.column(name).to_pylist() for name in names), strict=True):
+            x, y, yaw = (round(value, 4) for value in pose)
+            scenes.setdefault(scene, {}).setdefault(target, []).append((x, y, yaw))
     return TrainingStarts.model_validate({"scenes": scenes})
 
 

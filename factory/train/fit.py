@@ -140,8 +140,10 @@ class BcTraining:
 
     def _imitation(self, answer: NetworkOutput, batch: Batch) -> Tensor:
         """Returns the imitation loss of each frame, (N,)."""
-        is_stop = self._tensor(batch.is_stop.astype(np.float32))
-        weight = 1 + (self._options.stop_weight - 1) * is_stop
+        is_stop, has_stop, has_twist = (
+            self._tensor(column.astype(np.float32)) for column in (batch.is_stop, batch.has_stop, batch.has_twist)
+        )
+        weight = (1 + (self._options.stop_weight - 1) * is_stop) * has_stop
         if self._options.head == "tokens":
             tokens = tokens_of(batch.actions).astype(np.int64)
             cells = self._tensor(tokens[:, 0] * len(W_GRID_RPS) + tokens[:, 1])
@@ -150,7 +152,7 @@ class BcTraining:
         wanted = self._tensor(batch.actions / scale)
         twist = functional.smooth_l1_loss(answer.action, wanted, reduction="none", beta=0.1).sum(dim=1)
         stop = functional.binary_cross_entropy_with_logits(answer.stop, is_stop, reduction="none")
-        return 5 * twist * (1 - is_stop) + stop * weight
+        return 5 * twist * has_twist + stop * weight
 
     @torch.no_grad()  # type: ignore[untyped-decorator]
     def _measure(self, val: TrainingFrames) -> dict[str, float | None]:
@@ -162,8 +164,8 @@ class BcTraining:
             answer = self.mean(self._tensor(batch.pictures), self._tensor(batch.words))
             losses.append(self._imitation(answer, batch).cpu().numpy())
             action, stop = self._decide(answer)
-            drives.append(np.abs(action - batch.actions)[~batch.is_stop])
-            stops.append(np.stack([stop, batch.is_stop]))
+            drives.append(np.abs(action - batch.actions)[batch.has_twist])
+            stops.append(np.stack([stop, batch.is_stop])[:, batch.has_stop])
             pointed.append(_pointing(answer.mask.cpu().numpy(), batch.mask))
         said_stop, is_stop = np.concatenate(stops, axis=1)
         hits = int((said_stop & is_stop).sum())
@@ -204,9 +206,8 @@ def _read(frames: TrainingFrames, rows: NDArray[np.int64], sentences: NDArray[np
     return Batch(
         pictures,
         mask,
-        actions=frames.actions[rows],
-        is_stop=frames.is_stop[rows],
         words=sentences[frames.episode[rows]],
+        **frames.labels.take(rows)._asdict(),
     )
 
 

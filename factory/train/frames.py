@@ -6,7 +6,7 @@ Decodes and renders nothing.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -17,9 +17,12 @@ from factory.dataset.reader import Dataset, Episode, Frame
 from factory.dataset.sampler import scene_numbers
 from factory.train import preprocess
 from factory.train.input_size import PREPROCESS_VERSION
+from factory.train.options import StopRule
 from schemas.base import Model, Positive, Sha256
+from schemas.bundle import Corrections
 from schemas.errors import UsageError
 from schemas.plan import canonical_json
+from schemas.stop_label import StopLabel, stop_labels
 
 _TAIL_STEPS, _TAIL_STRIDE = 30, 2
 """Length and stride of the denser sampling at the end of an episode, steps. The stop takes about half a second."""
@@ -29,9 +32,22 @@ class Labels(NamedTuple):
     """Labels of the selected frames, one row each."""
 
     actions: NDArray[np.float32]
-    """(N, 2) v in m/s and w in rad/s to hold until the next selected frame; (0, 0) for a stop."""
+    """(N, 2) v in m/s and w in rad/s to hold until the next selected frame; (0, 0) without a twist."""
     is_stop: NDArray[np.bool_]
-    """(N,) whether the expert stops from this frame on."""
+    """(N,) whether the robot should stop."""
+    has_stop: NDArray[np.bool_]
+    """(N,) whether `is_stop` is a label; otherwise both answers are right."""
+    has_twist: NDArray[np.bool_]
+    """(N,) whether `actions` is a label."""
+
+    def take(self, rows: NDArray[np.int64]) -> Labels:
+        """Returns the labels of some rows."""
+        return Labels(self.actions[rows], self.is_stop[rows], self.has_stop[rows], self.has_twist[rows])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Labels]) -> Labels:
+        """Returns the rows of several labels, in order."""
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def stop_frame(actions: NDArray[np.float32], max_braking_mps2: float, control_hz: int) -> int:
@@ -62,8 +78,14 @@ def chosen_frames(steps: int, stride: int) -> NDArray[np.int64]:
     return np.array(sorted({*range(0, steps, stride), *tail}), np.int64)
 
 
-def label_episode(actions: NDArray[np.float32], frames: NDArray[np.int64], stop: int, hold: int) -> Labels:
-    """Returns the labels of the selected frames.
+def label_episode(
+    actions: NDArray[np.float32],
+    frames: NDArray[np.int64],
+    stop: int,
+    hold: int,
+    when: NDArray[np.uint8] | None = None,
+) -> Labels:
+    """Returns the labels of the selected frames of a demonstration.
 
     The twist of a frame is the command at the end of its hold time, or at the last frame before the stop if that is
     earlier. The end is used because the first commands of an episode only reflect the acceleration limit.
@@ -73,15 +95,47 @@ def label_episode(actions: NDArray[np.float32], frames: NDArray[np.int64], stop:
         frames: (N,) selected frames.
         stop: First frame of the stop.
         hold: Steps for which an action is held.
+        when: (T,) labels of `stop_labels`; `None` labels the frames from the expert's stop on as stops.
     """
-    is_stop = frames >= stop
+    brakes = frames >= stop
     last = np.minimum(frames + hold - 1, max(0, min(stop, len(actions)) - 1))
-    wanted = actions[np.where(is_stop, frames, last)].astype(np.float32)
-    wanted[is_stop] = 0.0
-    return Labels(wanted, is_stop)
+    wanted = actions[np.where(brakes, frames, last)].astype(np.float32)
+    wanted[brakes] = 0.0
+    if when is None:
+        return Labels(wanted, brakes, np.ones_like(brakes), ~brakes)
+    return _with_stops(wanted, when[frames], ~brakes)
 
 
-CACHE_FORMAT = 1
+def label_corrections(corrections: Corrections, frames: NDArray[np.int64], when: NDArray[np.uint8]) -> Labels:
+    """Returns the labels of the selected frames of an episode with corrections.
+
+    Args:
+        corrections: actions of the planner at the poses.
+        frames: (N,) selected frames.
+        when: (T,) labels of `stop_labels`.
+    """
+    wanted = corrections.expert_actions[frames].astype(np.float32)
+    is_driven = np.isfinite(wanted).all(axis=1)
+    wanted[~is_driven] = 0.0
+    return _with_stops(wanted, when[frames], is_driven & (wanted != 0).any(axis=1))
+
+
+def _with_stops(wanted: NDArray[np.float32], when: NDArray[np.uint8], is_driven: NDArray[np.bool_]) -> Labels:
+    is_stop = when == StopLabel.STOP
+    wanted = np.where(is_stop[:, None], np.float32(0), wanted)
+    return Labels(wanted, is_stop, when != StopLabel.EITHER, is_driven & ~is_stop)
+
+
+def corrected_frames(corrections: Corrections, when: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Returns the training frames of an episode with corrections: those with a label of the planner, and more stops."""
+    steps = len(corrections.drivers)
+    labelled = np.isfinite(corrections.expert_actions).all(axis=1)
+    in_tail = np.zeros(steps, np.bool_)
+    in_tail[max(0, steps - _TAIL_STEPS) :: _TAIL_STRIDE] = True
+    return np.flatnonzero(labelled | (in_tail & (when != StopLabel.EITHER)))
+
+
+CACHE_FORMAT = 2
 MASK_SHRINK = 8
 """Downscaling factor from the picture to the target mask, which has the resolution of the network's second stage."""
 ProgressCallback = Callable[[int, int], None]
@@ -96,6 +150,7 @@ class CacheKey(Model):
     """Digest of the episodes."""
     size: int
     hold: int
+    stops: StopRule
 
     @property
     def name(self) -> str:
@@ -157,6 +212,31 @@ class Pictures(NamedTuple):
         self.mask[row] = source.mask[source_row]
 
 
+class JoinedPictures:
+    """`PictureSource` of several sources, whose rows follow each other.
+
+    Args:
+        parts: sources with the number of their rows.
+    """
+
+    def __init__(self, parts: Sequence[tuple[PictureSource, int]]) -> None:
+        self._sources = [source for source, _ in parts]
+        self._ends = np.cumsum([count for _, count in parts])
+
+    def take(self, rows: NDArray[np.int64]) -> Pictures:
+        """Returns the pictures of these rows, in their order."""
+        owner = np.searchsorted(self._ends, rows, side="right")
+        places = [np.flatnonzero(owner == number) for number in range(len(self._sources))]
+        starts = [0, *self._ends[:-1].tolist()]
+        taken = [
+            source.take(rows[place] - start)
+            for source, place, start in zip(self._sources, places, starts, strict=True)
+            if len(place)
+        ]
+        back = np.argsort(np.concatenate([place for place in places if len(place)]))
+        return Pictures(*(np.concatenate(arrays)[back] for arrays in zip(*taken, strict=True)))
+
+
 class PictureSource(Protocol):
     """Source of the pictures of a training: memory, files, or a renderer."""
 
@@ -169,10 +249,7 @@ class TrainingFrames:
     """N frames of the episodes in order, with their labels."""
 
     index: FramesIndex
-    actions: NDArray[np.float32]
-    """(N, 2) action labels: v in m/s and w in rad/s."""
-    is_stop: NDArray[np.bool_]
-    """(N,) whether the label is a stop."""
+    labels: Labels
     episode: NDArray[np.int32]
     """(N,) index of the frame's episode in `index.episodes`."""
     scene: NDArray[np.int64]
@@ -180,7 +257,39 @@ class TrainingFrames:
     pictures: PictureSource
 
     def __len__(self) -> int:
-        return len(self.actions)
+        return len(self.episode)
+
+
+def join_frames(parts: Sequence[TrainingFrames]) -> TrainingFrames:
+    """Returns the frames of several datasets as those of one training, in order.
+
+    Raises:
+        UsageError: The datasets were recorded with different rates, cameras or robots.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0].index
+    shared = {name: getattr(first, name) for name in ("control_hz", "fov_deg", "max_speed_mps", "max_yaw_rate_rps")}
+    if any({name: getattr(part.index, name) for name in shared} != shared for part in parts):
+        raise UsageError("the corrections were recorded with another rate, camera or robot than the dataset")
+    episodes: list[LabelledEpisode] = []
+    owners, numbers, rows, scenes = [], [], 0, 0
+    for part in parts:
+        owners.append(part.episode + len(episodes))
+        numbers.append(part.scene + scenes)
+        episodes += [each.model_copy(update={"first": each.first + rows}) for each in part.index.episodes]
+        rows, scenes = rows + len(part), scenes + int(part.scene.max()) + 1
+    digest = hashlib.sha256(" ".join(part.index.key.dataset for part in parts).encode()).hexdigest()
+    index = first.model_copy(
+        update={"episodes": tuple(episodes), "key": first.key.model_copy(update={"dataset": digest})}
+    )
+    return TrainingFrames(
+        index,
+        Labels.joined([part.labels for part in parts]),
+        episode=np.concatenate(owners).astype(np.int32),
+        scene=np.concatenate(numbers),
+        pictures=JoinedPictures([(part.pictures, len(part)) for part in parts]),
+    )
 
 
 @dataclass(frozen=True)
@@ -189,24 +298,22 @@ class LabelledSteps:
 
     index: FramesIndex
     step: NDArray[np.int64]
-    actions: NDArray[np.float32]
-    is_stop: NDArray[np.bool_]
+    labels: Labels
     episode: NDArray[np.int32]
 
     def with_pictures(self, dataset: Dataset, pictures: PictureSource) -> TrainingFrames:
         scene = scene_numbers(dataset)[self.episode]
-        return TrainingFrames(
-            self.index, self.actions, is_stop=self.is_stop, episode=self.episode, scene=scene, pictures=pictures
-        )
+        return TrainingFrames(self.index, self.labels, episode=self.episode, scene=scene, pictures=pictures)
 
 
-def label_steps(dataset: Dataset, size: int, hold: int, tell: ProgressCallback) -> LabelledSteps:
+def label_steps(dataset: Dataset, size: int, hold: int, stops: StopRule, tell: ProgressCallback) -> LabelledSteps:
     """Selects the steps of a training and computes their labels.
 
     Args:
         dataset: Episodes to train on.
         size: Side of the pictures, pixels.
         hold: Steps between two selected frames.
+        stops: Rule of the stop labels.
         tell: Progress callback, called with finished and total episodes.
 
     Raises:
@@ -219,9 +326,9 @@ def label_steps(dataset: Dataset, size: int, hold: int, tell: ProgressCallback) 
     steps, labels, first = [], [], 0
     for number, episode in enumerate(dataset):
         with episode:
-            chosen = chosen_frames(len(episode), hold)
+            chosen, of_episode = _label(episode, hold, stops)
             settings.add(_settings(episode))
-            labels.append(_labels(episode, chosen, hold))
+            labels.append(of_episode)
             episodes.append(_describe(episode, first, len(chosen)))
         steps.append(chosen)
         first += len(chosen)
@@ -232,16 +339,15 @@ def label_steps(dataset: Dataset, size: int, hold: int, tell: ProgressCallback) 
         )
     hz, fov, speed, yaw_rate = settings.pop()
     index = FramesIndex(
-        key=CacheKey(dataset=dataset.digest, size=size, hold=hold),
+        key=CacheKey(dataset=dataset.digest, size=size, hold=hold, stops=stops),
         episodes=tuple(episodes),
         control_hz=hz,
         fov_deg=fov,
         max_speed_mps=speed,
         max_yaw_rate_rps=yaw_rate,
     )
-    actions, is_stop = (np.concatenate(parts) for parts in zip(*labels, strict=True))
     owner = np.repeat(np.arange(len(steps), dtype=np.int32), list(map(len, steps)))
-    return LabelledSteps(index, np.concatenate(steps), actions=actions, is_stop=is_stop, episode=owner)
+    return LabelledSteps(index, np.concatenate(steps), Labels.joined(labels), episode=owner)
 
 
 def require_episodes(dataset: Dataset) -> None:
@@ -261,10 +367,17 @@ def _settings(episode: Episode) -> tuple[int, float, float, float]:
     return job.task.control_hz, job.camera.fov_deg, job.robot.max_speed_mps, job.robot.max_yaw_rate_rps
 
 
-def _labels(episode: Episode, frames: NDArray[np.int64], hold: int) -> Labels:
-    job = episode.meta.job
+def _label(episode: Episode, hold: int, stops: StopRule) -> tuple[NDArray[np.int64], Labels]:
+    """Returns the training frames of an episode, and their labels."""
+    meta, corrections = episode.meta, episode.corrections
+    if corrections is not None:  # its end says nothing about the policy's stops before
+        when = stop_labels(meta, episode.poses)
+        frames = corrected_frames(corrections, when)
+        return frames, label_corrections(corrections, frames, when)
+    frames, job = chosen_frames(len(episode), hold), meta.job
     stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
-    return label_episode(episode.actions, frames, stop, hold)
+    with_success = stop_labels(meta, episode.poses) if stops == "success" else None
+    return frames, label_episode(episode.actions, frames, stop, hold, with_success)
 
 
 def _describe(episode: Episode, first: int, frames: int) -> LabelledEpisode:

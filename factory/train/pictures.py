@@ -24,12 +24,14 @@ from factory.train.frames import (
     CacheKey,
     FramesIndex,
     LabelledSteps,
+    Labels,
     Pictures,
     ProgressCallback,
     TrainingFrames,
     label_steps,
     require_episodes,
 )
+from factory.train.options import StopRule
 from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import WorldError
 from schemas.storage.disk import sync_directory, translated
@@ -39,13 +41,16 @@ _INDEX = "index.json"
 _POLL_S = 0.2
 
 
-def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: ProgressCallback) -> TrainingFrames:
+def open_cache(
+    dataset: Dataset, size: int, hold: int, stops: StopRule, root: Path, tell: ProgressCallback
+) -> TrainingFrames:
     """Returns the frames of a dataset's episodes from the cache; decodes them if they are not cached.
 
     Args:
         dataset: Episodes to cache.
         size: Side of the pictures, pixels.
         hold: Steps between two selected frames.
+        stops: Rule of the stop labels.
         root: Folder of the caches.
         tell: Progress callback, called with the number of decoded episodes and the total; the number stays 0 while
             another training decodes them. May raise to cancel.
@@ -56,7 +61,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
         WorldError: The cache cannot be written.
     """
     require_episodes(dataset)
-    key = CacheKey(dataset=dataset.digest, size=size, hold=hold)
+    key = CacheKey(dataset=dataset.digest, size=size, hold=hold, stops=stops)
     folder = root / key.name
 
     def wait() -> None:
@@ -93,7 +98,7 @@ def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: ProgressCallback)
 
 
 def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: ProgressCallback) -> None:
-    labels = label_steps(dataset, key.size, key.hold, lambda _done, _of: None)
+    labels = label_steps(dataset, key.size, key.hold, key.stops, lambda _done, _of: None)
     pictures = _create(part, len(labels.step), key.size)
     for number, (episode, rows) in enumerate(zip(dataset, labels.index.episodes, strict=True)):
         with episode:
@@ -115,7 +120,7 @@ def _create(part: Path, rows: int, size: int) -> Pictures:
 
 
 def _write_labels(part: Path, labels: LabelledSteps) -> None:
-    np.savez(part / "labels.npz", actions=labels.actions, is_stop=labels.is_stop, episode=labels.episode)
+    np.savez(part / "labels.npz", episode=labels.episode, **labels.labels._asdict())
     (part / _INDEX).write_text(labels.index.model_dump_json(), encoding="utf-8")
 
 
@@ -132,13 +137,12 @@ def _open(folder: Path, index: FramesIndex, dataset: Dataset) -> TrainingFrames:
     try:
         rgb, depth, mask = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("rgb", "depth", "mask"))
         with (folder / "labels.npz").open("rb") as file, np.load(file) as labels:
-            actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
+            columns, episode = Labels(*(labels[name] for name in Labels._fields)), labels["episode"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder; it is created again") from error
     return TrainingFrames(
         index,
-        actions,
-        is_stop=is_stop,
+        columns,
         episode=episode,
         scene=scene_numbers(dataset)[episode],
         pictures=Pictures(rgb, depth, mask),
@@ -146,7 +150,13 @@ def _open(folder: Path, index: FramesIndex, dataset: Dataset) -> TrainingFrames:
 
 
 def render_frames(
-    dataset: Dataset, size: int, hold: int, antialias: int | None, memory_bytes: int, tell: ProgressCallback
+    dataset: Dataset,
+    size: int,
+    hold: int,
+    stops: StopRule,
+    antialias: int | None,
+    memory_bytes: int,
+    tell: ProgressCallback,
 ) -> TrainingFrames:
     """Returns the frames of a dataset's episodes, which are rendered when they are used.
 
@@ -154,6 +164,7 @@ def render_frames(
         dataset: Episodes that store states.
         size: Side of the pictures, pixels.
         hold: Steps between two selected frames.
+        stops: Rule of the stop labels.
         antialias: Samples per pixel along each axis; `None` gives the same pictures as stored frames.
         memory_bytes: Memory for rendered pictures. As many of the first rows as fit are rendered once and kept; the
             others are rendered in each epoch.
@@ -163,7 +174,7 @@ def render_frames(
         UsageError: The dataset has no episodes, or they were recorded with different rates, cameras or robots.
         ArchiveCorrupt: An episode is damaged.
     """
-    steps = label_steps(dataset, size, hold, tell)
+    steps = label_steps(dataset, size, hold, stops, tell)
     samples = antialias or FRAME_SIZE_PX // size
     return steps.with_pictures(
         dataset, RenderedPictures(dataset, steps, size=size, antialias=samples, memory_bytes=memory_bytes)

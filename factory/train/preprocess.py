@@ -80,6 +80,10 @@ class Batch(NamedTuple):
     """(N, 2) action labels: v in m/s, w in rad/s."""
     is_stop: NDArray[np.bool_]
     """(N,) whether the label is a stop."""
+    has_stop: NDArray[np.bool_]
+    """(N,) whether `is_stop` is a label."""
+    has_twist: NDArray[np.bool_]
+    """(N,) whether `actions` is a label."""
     words: NDArray[np.int64]
     """(N, W) token indices of the instructions."""
 
@@ -111,7 +115,7 @@ def augment(batch: Batch, rng: np.random.Generator, mirrored_words: NDArray[np.i
     gain = rng.uniform(1 - _CONTRAST, 1 + _CONTRAST, shape)
     lift = rng.uniform(-_BRIGHTNESS, _BRIGHTNESS, shape) + rng.uniform(-_TINT, _TINT, (len(mask), 3, 1, 1))
     pictures[:, :3] = np.clip(pictures[:, :3] * gain + lift, -1, 1)
-    return Batch(pictures, mask, actions=actions, is_stop=batch.is_stop, words=words)
+    return batch._replace(pictures=pictures, mask=mask, actions=actions, words=words)
 
 
 def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:

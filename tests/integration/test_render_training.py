@@ -25,7 +25,7 @@ Recordings = dict[Recording, Path]
 
 
 def rendered(root: Path, antialias: int | None = None, memory_bytes: int = 1 << 28) -> TrainingFrames:
-    return render_frames(Dataset(root), SIZE, HOLD, antialias, memory_bytes, lambda _done, _of: None)
+    return render_frames(Dataset(root), SIZE, HOLD, "success", antialias, memory_bytes, lambda _done, _of: None)
 
 
 def taken(source: PictureSource, rows: np.ndarray) -> list[np.ndarray]:
@@ -34,7 +34,9 @@ def taken(source: PictureSource, rows: np.ndarray) -> list[np.ndarray]:
 
 @pytest.fixture
 def stored(recordings: Recordings, tmp_path: Path) -> TrainingFrames:
-    return open_cache(Dataset(recordings[Recording.FRAMES]), SIZE, HOLD, tmp_path / "cache", lambda _done, _of: None)
+    return open_cache(
+        Dataset(recordings[Recording.FRAMES]), SIZE, HOLD, "success", tmp_path / "cache", lambda _d, _of: None
+    )
 
 
 @pytest.mark.parametrize("memory_bytes", [0, 200_000, 1 << 28])
@@ -47,8 +49,10 @@ def test_training_frames_rendered_from_states_equal_those_of_a_frames_dataset(
         for one, other in zip(taken(stored.pictures, rows), taken(found.pictures, rows), strict=True):
             assert one.dtype == other.dtype
             assert np.array_equal(one, other)
-    for name in ("actions", "is_stop", "episode", "scene"):
-        assert np.array_equal(getattr(found, name), getattr(stored, name))
+    for one, other in zip(found.labels, stored.labels, strict=True):
+        assert np.array_equal(one, other)
+    assert np.array_equal(found.episode, stored.episode)
+    assert np.array_equal(found.scene, stored.scene)
     assert found.index.episodes == stored.index.episodes
 
 

@@ -28,7 +28,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def opened(data: Dataset, root: Path) -> tuple[TrainingFrames, list[tuple[int, int]]]:
     told: list[tuple[int, int]] = []
-    return open_cache(data, SIZE, HOLD, root, lambda done, of: told.append((done, of))), told
+    return open_cache(data, SIZE, HOLD, "braking", root, lambda done, of: told.append((done, of))), told
 
 
 def test_the_cache_has_the_content_of_the_episodes(data: Dataset, tmp_path: Path) -> None:
@@ -50,8 +50,8 @@ def test_the_cache_has_the_content_of_the_episodes(data: Dataset, tmp_path: Path
     job = episode.meta.job
     stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
     labels = label_episode(episode.actions, frames, stop, HOLD)
-    assert np.array_equal(cache.actions[len(frames) :], labels.actions)
-    assert np.array_equal(cache.is_stop[len(frames) :], labels.is_stop)
+    assert np.array_equal(cache.labels.actions[len(frames) :], labels.actions)
+    assert np.array_equal(cache.labels.is_stop[len(frames) :], labels.is_stop)
     assert cache.index.control_hz == episode.meta.job.task.control_hz
 
 
@@ -64,13 +64,14 @@ def test_a_second_opening_decodes_no_frame(data: Dataset, tmp_path: Path) -> Non
 
 
 def test_the_name_of_a_cache_depends_on_content_size_and_hold(data: Dataset) -> None:
-    key = CacheKey(dataset=data.digest, size=SIZE, hold=HOLD)
+    key = CacheKey(dataset=data.digest, size=SIZE, hold=HOLD, stops="braking")
     others = (
-        CacheKey(dataset=data.filter(episode="ep_000001").digest, size=SIZE, hold=HOLD),
-        CacheKey(dataset=data.digest, size=128, hold=HOLD),
-        CacheKey(dataset=data.digest, size=SIZE, hold=6),
+        CacheKey(dataset=data.filter(episode="ep_000001").digest, size=SIZE, hold=HOLD, stops="braking"),
+        CacheKey(dataset=data.digest, size=128, hold=HOLD, stops="braking"),
+        CacheKey(dataset=data.digest, size=SIZE, hold=6, stops="braking"),
+        CacheKey(dataset=data.digest, size=SIZE, hold=HOLD, stops="success"),
     )
-    assert len({key.name, *(other.name for other in others)}) == 4
+    assert len({key.name, *(other.name for other in others)}) == 5
 
 
 def test_a_cache_without_a_readable_index_is_rebuilt(data: Dataset, tmp_path: Path) -> None:
@@ -108,9 +109,11 @@ def test_the_second_process_waits_for_the_cache_and_decodes_no_frame(data: Datas
         assert may_go_on.wait(60)
 
     with ThreadPoolExecutor(2) as pool:
-        maker = pool.submit(open_cache, data, SIZE, HOLD, tmp_path, tell_and_hold)
+        maker = pool.submit(open_cache, data, SIZE, HOLD, "braking", tmp_path, tell_and_hold)
         assert is_started.wait(60)
-        waiter = pool.submit(open_cache, data, SIZE, HOLD, tmp_path, lambda done, of: second.append((done, of)))
+        waiter = pool.submit(
+            open_cache, data, SIZE, HOLD, "braking", tmp_path, lambda done, of: second.append((done, of))
+        )
         with pytest.raises(TimeoutError):
             waiter.result(1.0)
         may_go_on.set()

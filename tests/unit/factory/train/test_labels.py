@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.train.frames import chosen_frames, label_episode, stop_frame
+from factory.train.frames import (
+    JoinedPictures,
+    Pictures,
+    chosen_frames,
+    corrected_frames,
+    label_corrections,
+    label_episode,
+    stop_frame,
+)
+from schemas.bundle import Corrections
 from schemas.config import RobotConfig
+from schemas.stop_label import StopLabel
 
 HZ, BRAKING = 60, RobotConfig().max_braking_mps2
 
@@ -59,3 +69,50 @@ def test_a_label_is_the_command_at_the_end_of_the_hold() -> None:
     assert np.array_equal(labels.actions[1], actions[17])
     assert np.array_equal(labels.actions[2], actions[82]), "the hold ends before the braking"
     assert labels.actions[3].tolist() == [0.0, 0.0]
+
+
+def test_stops_by_success_replace_those_of_the_expert() -> None:
+    actions, frames = drive(), np.array([0, 60, 80, 84, 90])
+    when = np.zeros(len(actions), np.uint8)
+    when[70:85], when[85:] = StopLabel.EITHER, StopLabel.STOP
+    labels = label_episode(actions, frames, stop=83, hold=6, when=when)
+    assert labels.is_stop.tolist() == [False, False, False, False, True]
+    assert labels.has_stop.tolist() == [True, True, False, False, True]
+    assert labels.has_twist.tolist() == [True, True, True, False, False], "the twist of a braking expert is no label"
+    assert not labels.actions[4].any()
+
+
+def test_corrections_have_the_labels_of_the_planner_and_more_stops_at_the_end() -> None:
+    steps = 60
+    wanted = np.full((steps, 2), np.nan, np.float32)
+    wanted[::6] = (0.5, -0.25)
+    wanted[54] = 0.0
+    when = np.zeros(steps, np.uint8)
+    when[42:50], when[50:] = StopLabel.EITHER, StopLabel.STOP
+    corrections = Corrections(wanted, np.ones(steps, np.uint8))
+    frames = corrected_frames(corrections, when)
+    assert frames.tolist() == [0, 6, 12, 18, 24, 30, 32, 34, 36, 38, 40, 42, 48, 50, 52, 54, 56, 58]
+    labels = label_corrections(corrections, frames, when)
+    assert np.isfinite(labels.actions).all()
+    by_frame = {int(frame): row for row, frame in enumerate(frames)}
+    assert labels.has_twist[by_frame[0]]
+    assert labels.has_stop[by_frame[0]]
+    assert not labels.has_twist[by_frame[32]], "no label of the planner"
+    assert labels.has_twist[by_frame[48]]
+    assert not labels.has_stop[by_frame[48]], "both answers are right"
+    assert labels.is_stop[by_frame[54]]
+    assert not labels.has_twist[by_frame[54]]
+
+
+def test_joined_pictures_return_the_rows_of_their_parts_in_the_requested_order() -> None:
+    def part(count: int, first: int) -> Pictures:
+        pictures = Pictures.empty(count, 8)
+        for row in range(count):
+            pictures.rgb[row], pictures.depth[row], pictures.mask[row] = first + row, first + row, first + row
+        return pictures
+
+    joined = JoinedPictures([(part(3, 0), 3), (part(4, 3), 4), (part(2, 7), 2)])
+    for rows in ([8, 0, 3, 6, 2, 7], [4], [1, 0]):
+        taken = joined.take(np.array(rows))
+        assert taken.depth[:, 0, 0].tolist() == rows
+        assert taken.rgb[:, 0, 0, 0].tolist() == rows

@@ -61,7 +61,8 @@ def batch(is_stop: bool) -> Batch:
     mask = np.zeros((64, 8, 8), np.float32)
     mask[:, :, 2] = 1
     actions, words = np.tile(np.float32((0.5, 0.3)), (64, 1)), np.tile(np.int64((2, 3, 0)), (64, 1))
-    return Batch(to_input(rgb, depth), mask, actions, np.full(64, is_stop), words)
+    stops, known = np.full(64, is_stop), np.ones(64, bool)
+    return Batch(to_input(rgb, depth), mask, actions, is_stop=stops, has_stop=known, has_twist=~stops, words=words)
 
 
 def test_mirrored_frames_have_the_opposite_yaw_rate_and_side_words() -> None:
