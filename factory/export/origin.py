@@ -219,7 +219,7 @@ def _in_hdf5(path: Path, wanted: str) -> Iterator[Found]:  # noqa: ARG001
 
 
 def _member(group: Any, name: str, kind: type) -> Any:
-    """Returns a member of an HDF5 group, or `None` if it is of another kind, or a link, which may lead to other files."""
+    """Returns a member of an HDF5 group, or `None` if it is of another kind, or a link that may leave the file."""
     import h5py
 
     member = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None

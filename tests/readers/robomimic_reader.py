@@ -15,10 +15,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-import robomimic.utils.file_utils as FileUtils
-import robomimic.utils.obs_utils as ObsUtils
 from paper_tree import Paper, mean_commands, shrunk
 from result import named, print_row
+from robomimic.utils import file_utils, obs_utils
 from robomimic.utils.dataset import SequenceDataset
 
 RECORDED_HZ = 60
@@ -28,7 +27,7 @@ COLUMNS = ("actions", "commands", "action_tokens", "rewards", "dones", "camera_p
 
 def main() -> None:
     paper, exports = Paper(Path(sys.argv[1])), [Path(word) for word in sys.argv[2:]]
-    ObsUtils.initialize_obs_utils_with_obs_specs({"obs": {"low_dim": ["state"], "rgb": ["image"], "depth": ["depth"]}})
+    obs_utils.initialize_obs_utils_with_obs_specs({"obs": {"low_dim": ["state"], "rgb": ["image"], "depth": ["depth"]}})
     for export in exports:
         print_row(export, f"{named('robomimic', 'h5py')}: SequenceDataset", check(paper, export))
 
@@ -38,8 +37,8 @@ def check(paper: Paper, export: Path) -> str:
     file = export / "dataset.hdf5"
     options = json.loads((export / "export.json").read_text())["options"]
     stride = RECORDED_HZ // (options["fps"] or RECORDED_HZ)
-    assert FileUtils.get_env_metadata_from_dataset(str(file))["env_kwargs"] == {}
-    shapes = FileUtils.get_shape_metadata_from_dataset(str(file), all_obs_keys=["image", "state"])
+    assert file_utils.get_env_metadata_from_dataset(str(file))["env_kwargs"] == {}
+    shapes = file_utils.get_shape_metadata_from_dataset(str(file), all_obs_keys=["image", "state"])
     assert (shapes["ac_dim"], shapes["use_images"]) == (2, True)
     assert shapes["all_shapes"]["image"] == [3, options["image_px"], options["image_px"]]
     whole = opened(file, None)
@@ -99,7 +98,7 @@ def check_filter_keys(paper: Paper, file: Path, demos: list[str]) -> None:
         assert set(opened_file["mask"]) == splits.keys()
         total = opened_file["data"].attrs["total"]
     for key, members in splits.items():
-        assert FileUtils.get_demos_for_filter_key(str(file), key) == members
+        assert file_utils.get_demos_for_filter_key(str(file), key) == members
         assert opened(file, key).demos == members
     assert total == len(opened(file, None))
 
