@@ -5,7 +5,10 @@ Chunks are compressed by isal and not by HDF5, whose deflate is several times sl
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,10 +74,8 @@ class RobomimicExporter(Exporter[RobomimicOptions, EpisodeFacts]):
 
     def write_episode(self, episode: Episode, options: RobomimicOptions, folder: Path) -> EpisodeFacts:
         """Writes the demonstration; one frame is in memory at a time."""
-        import h5py
-
         frames = len(kept_frames(len(episode), stride_of(options.fps, episode.meta.job.task.control_hz)))
-        with h5py.File(folder / _PIECE, "w") as file:
+        with _new_file(folder / _PIECE) as file:
             demo = file.create_group("demo")
             _write_steps(demo, rlds_steps(episode, options.fps, options.image_px), frames)
             robot = episode.meta.job.robot
@@ -108,10 +109,29 @@ class RobomimicExporter(Exporter[RobomimicOptions, EpisodeFacts]):
         export.out.write_text(CARD_FILE, card)
 
 
+@contextlib.contextmanager
+def _new_file(path: Path) -> Iterator[h5py.File]:
+    """Yields a new HDF5 file; raises OSError with the errno of the system, which HDF5 states in its texts only."""
+    import h5py
+
+    file = h5py.File(path, "w")
+    try:
+        yield file
+        file.close()
+    except (OSError, RuntimeError) as error:
+        stated = re.search(r"errno = (\d+)", str(error))
+        if stated is None:
+            raise
+        raise OSError(int(stated[1]), os.strerror(int(stated[1])), str(path)) from error
+    finally:
+        with contextlib.suppress(OSError, RuntimeError):  # after an error, closing fails again
+            file.close()
+
+
 def _join(path: Path, export: Finish[RobomimicOptions, EpisodeFacts], masks: dict[str, list[str]]) -> None:
     import h5py
 
-    with h5py.File(path, "w") as file:
+    with _new_file(path) as file:
         data, total = file.create_group(DEMOS), 0
         for piece in export.pieces:
             with h5py.File(piece.folder / _PIECE, "r") as source:
