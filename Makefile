@@ -99,7 +99,7 @@ ledger-accidents: $(READY)
 	$(VENV)/bin/python -m tests.chaos.ledger_accidents --moments 50 --tally build/ledger-accidents.json
 
 # exports to every format, prints sizes and times, and opens the exports with their readers: LeRobot's loaders (Python 3.12;
-# 0.6 for v3.0, 0.3 for v2.1), Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in separate
+# 0.6 for v3.0, 0.3 for v2.1), Habitat's (Python 3.11), TFDS, robomimic, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in separate
 # environments of 17 GB in total; VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer adds the loader of ViNT and NoMaD,
 # and INTERNNAV=CHECKOUT of InternRobotics/InternNav those of NavDP and InternVLA-N1 (they also need libusb)
 test-formats: $(READY) $(LEROBOT)/.ready $(LEROBOT)-v2.1/.ready $(HABITAT)/.ready $(READERS)/.ready
@@ -150,12 +150,13 @@ $(HABITAT)/.ready:
 	$(HABITAT)/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh "pyarrow==19.0.1"
 	touch $(HABITAT)/.ready
 
-# also installs this project, which contains the RLDS builder and `factory view`
+# also installs this project, which contains `factory view`. robomimic is installed without its requirements for rollouts
 $(READERS)/.ready: requirements.txt
 	$(PYTHON) -m venv $(READERS)
 	$(READERS)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
 	$(READERS)/bin/python -m pip install --quiet tensorflow==2.21.0 tensorflow-datasets==4.9.10 importlib_resources rerun-sdk==0.41.0 \
-	    mcap-protobuf-support foxglove-schemas-protobuf
+	    mcap-protobuf-support foxglove-schemas-protobuf torch==2.13.0 torchvision tensorboardX termcolor six imageio
+	$(READERS)/bin/python -m pip install --quiet --no-deps robomimic==0.3.0
 	$(READERS)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(READERS)/.ready
 

@@ -47,6 +47,8 @@ DOORS = {
     "defusedxml": {"factory/scenes/formats/xml_text.py"},
     "mujoco": {"factory/scenes/formats/mjcf.py"},
     "rosbags": {"factory/export/mcap/ros2_cdr.py"},
+    "h5py": {"factory/export/origin.py", "factory/export/robomimic.py"},
+    "google_crc32c": {"factory/export/tfrecord.py"},
     "rerun": {"factory/visualize/rerun.py"},
     "embreex": {"workers/geometry/rays.py"},
     "ray": {"factory/runs/ray_engine.py"},

@@ -65,7 +65,7 @@ def _without_none(annotation: Any) -> Any:
 
 
 class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click 8.2 only
-    """The name of an export format; for a format that another tool writes, the error names that tool."""
+    """The name of an export format; the error of an unknown one suggests the closest."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Returns the name, or raises `UsageError`."""

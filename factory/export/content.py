@@ -25,7 +25,8 @@ class Kept(NamedTuple):
     """Place of a fact in a format."""
 
     place: str
-    """Name as the test lists it: `file:`, `column:`, `key:`, `member:`, `topic:` or `pickle:`; `*` is any text."""
+    """Name as the test lists it: `file:`, `column:`, `key:`, `member:`, `topic:`, `pickle:` or `feature:`; `*` is any
+    text."""
     note: str = "yes"
     """Entry in the table, a word or two: `yes` if the values are exact."""
 
@@ -39,7 +40,7 @@ FACTS: Mapping[str, Fact] = MappingProxyType(
         "camera": Fact("camera of the image", r"camera_matrix|camera_pose|calibration|camera_info|camera_intrinsic"),
         "pose": Fact("poses in the world", r"(^|[/:.])(poses?|position|odom)([/.]|$)|locations"),
         "twist": Fact("measured twist", r"observation\.state|state$|/odom"),
-        "action": Fact("commands v, w", r"v_mps|topic:/(action|cmd_vel)|actions_continuous"),
+        "action": Fact("commands v, w", r"v_mps|topic:/(action|cmd_vel)|actions_continuous|/action$|commands"),
         "tokens": Fact("action tokens", r"(^|[/:])(tokens|v_token|actions_tokens|action_tokens)|topic:/action"),
         "discrete": Fact("discrete actions", r"#\.actions$"),
         "outcome": Fact("success at the end", r"next\.|reward|is_terminal|end_reason"),
@@ -222,19 +223,40 @@ CONTENT: Mapping[str, Mapping[str, Kept]] = MappingProxyType(
             "discrete": Kept("column:action", "of keyframes"),
         },
         "rlds": {
-            "colour": Kept("key:observation.image", "256 px"),
-            "depth": Kept("key:observation.depth", "256 px"),
-            "camera": Kept("key:camera_matrix"),
-            "pose": Kept("key:camera_pose", "of the camera"),
-            "twist": Kept("key:observation.state"),
-            "action": Kept("key:action"),
-            "tokens": Kept("key:action_tokens"),
-            "outcome": Kept("key:is_terminal"),
-            "instruction": Kept("key:language_instruction"),
-            "target": Kept("key:target_id"),
-            "split": Kept("key:split"),
-            "digest": Kept("key:states_digest"),
-            "origin": Kept("key:origin"),
+            "colour": Kept("feature:steps/observation/image", "256 px"),
+            "depth": Kept("feature:steps/observation/depth", "256 px"),
+            "ids": Kept("feature:steps/observation/ids", "256 px"),
+            "id_names": Kept("key:instances.prim_path"),
+            "camera": Kept("feature:episode_metadata/camera_matrix"),
+            "pose": Kept("feature:steps/camera_pose", "of the camera"),
+            "twist": Kept("feature:steps/observation/state"),
+            "action": Kept("feature:steps/action"),
+            "tokens": Kept("feature:steps/action_tokens"),
+            "outcome": Kept("feature:steps/is_terminal"),
+            "instruction": Kept("feature:steps/language_instruction"),
+            "target": Kept("feature:episode_metadata/target_id"),
+            "centroid": Kept("feature:episode_metadata/target_centroid_m"),
+            "split": Kept("feature:episode_metadata/split"),
+            "digest": Kept("feature:episode_metadata/states_digest"),
+            "origin": Kept("feature:episode_metadata/origin"),
+        },
+        "robomimic": {
+            "colour": Kept("feature:obs/image", "256 px"),
+            "depth": Kept("feature:obs/depth", "256 px"),
+            "ids": Kept("feature:obs/ids", "256 px"),
+            "id_names": Kept("key:instances.prim_path"),
+            "camera": Kept("feature:camera_matrix"),
+            "pose": Kept("feature:camera_pose", "of the camera"),
+            "twist": Kept("feature:obs/state"),
+            "action": Kept("feature:commands"),
+            "tokens": Kept("feature:action_tokens"),
+            "outcome": Kept("feature:rewards"),
+            "instruction": Kept("feature:language_instruction"),
+            "target": Kept("feature:target_id"),
+            "centroid": Kept("feature:target_centroid_m"),
+            "split": Kept("feature:split"),
+            "digest": Kept("feature:states_digest"),
+            "origin": Kept("feature:origin"),
         },
     }
 )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from schemas.base import Model
+from schemas.encoding.image_sizes import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 
@@ -133,6 +134,30 @@ class McapOptions(Decimated):
         return START_TIME_S if self.start_time is None else self.start_time
 
 
+class Resized(Decimated):
+    """Options of a format with images of a selectable size."""
+
+    image_px: int = Field(
+        default=256,
+        ge=16,
+        le=FRAME_SIZE_PX,
+        description=f"Side of the images, pixels; {FRAME_SIZE_PX} is the recorded size. Default: 256.",
+    )
+
+
+class RldsOptions(WebdatasetOptions, Resized):
+    """Options of format `rlds`."""
+
+    loader_splits: bool = Field(
+        default=False,
+        description="Name train_id and val_id as the loaders of OpenVLA and Octo do, train and val. Default: no.",
+    )
+
+
+class RobomimicOptions(Resized):
+    """Options of format `robomimic`."""
+
+
 _QUALITY = "JPEG quality, 1 to 100. Default: 92."
 
 
@@ -168,6 +193,8 @@ OPTIONS: Mapping[str, type[Options]] = MappingProxyType(
         "coco": CocoOptions,
         "navdp": NavDpOptions,
         "internnav": InternNavOptions,
+        "rlds": RldsOptions,
+        "robomimic": RobomimicOptions,
     }
 )
 """Options of each format by its name, in the order of the registry."""

@@ -10,8 +10,9 @@ import json
 import tarfile
 import zlib
 from collections.abc import Callable, Iterator
+from fnmatch import fnmatch
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -21,15 +22,20 @@ from factory.dataset.episode import Episode
 from factory.dataset.episode_names import episode_index
 from factory.export.registry import EXPORTERS
 from factory.export.source import as_frames
+from factory.export.tfrecord import read_examples
 from schemas.dataset.origin import NOT_RECORDED, PACKAGE, EpisodeOrigin
 from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
+from schemas.support.extras import require_package
 from schemas.support.foreign import PARSER_ERRORS
 from schemas.terms import Recording
 
 COLUMN = "origin"
 """Name of the column, key or metadata field with the origin as JSON."""
 FILE = "origin.json"
+DEMOS = "data"
+"""Group of the demonstrations in an export for robomimic; each has the origin as the dataset `origin`."""
+_TFDS_FEATURE = f"episode_metadata/{COLUMN}"
 _MAX_BYTES = 1 << 20
 """Largest size of one origin, bytes."""
 _MAX_UNPACKED = 1 << 30
@@ -66,8 +72,8 @@ def find_origin(export: Path, name: str) -> EpisodeOrigin:
     """Returns the origin of an episode of an export.
 
     Args:
-        export: directory of the export, or one of its files: a tar shard, an MCAP file, a Parquet file of LeRobot, or a
-            file of Habitat.
+        export: directory of the export, or one of its files: a tar shard, an MCAP file, a Parquet file of LeRobot, a
+            file of Habitat, a TFRecord file, or an HDF5 file.
         name: id of the episode, such as `ep_000001` or 1.
 
     Raises:
@@ -121,8 +127,8 @@ def _origins(export: Path, wanted: str) -> Iterator[Found]:
     """Yields the origins of all formats that a path contains; some readers yield that of the wanted episode only."""
     files = [export] if export.is_file() else sorted(path for path in export.rglob("*") if path.is_file())
     for path in files:
-        for suffix, read in _READERS:
-            if path.name.endswith(suffix):
+        for pattern, read in _READERS:
+            if fnmatch(path.name, pattern):
                 yield from read(path, wanted)
 
 
@@ -190,6 +196,36 @@ def _in_lines(path: Path, wanted: str) -> Iterator[Found]:  # noqa: ARG001
                 yield _found(json.dumps(entry[COLUMN]))
 
 
+def _in_tfrecord(path: Path, wanted: str) -> Iterator[Found]:  # noqa: ARG001
+    for features in read_examples(path, {_TFDS_FEATURE}, _MAX_BYTES):
+        if text := features.get(_TFDS_FEATURE):
+            yield _found(text.decode())
+
+
+def _in_hdf5(path: Path, wanted: str) -> Iterator[Found]:  # noqa: ARG001
+    require_package("h5py", f"an origin in {path.name}")
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        demos = _member(file, DEMOS, h5py.Group)
+        for name in demos or ():
+            demo = _member(demos, name, h5py.Group)
+            text = None if demo is None else _member(demo, COLUMN, h5py.Dataset)
+            if text is None or text.shape != () or text.dtype.kind != "S":
+                continue
+            if text.dtype.itemsize > _MAX_BYTES:
+                raise ValueError(f"an origin of {text.dtype.itemsize} bytes is larger than {_MAX_BYTES}")
+            yield _found(text[()].decode())
+
+
+def _member(group: Any, name: str, kind: type) -> Any:
+    """Returns a member of an HDF5 group, or `None` if it is of another kind, or a link that may leave the file."""
+    import h5py
+
+    member = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    return member if isinstance(member, kind) else None
+
+
 def _found(text: str) -> Found:
     data = json.loads(text)
     return Found(str(data.get("episode", "")) if isinstance(data, dict) else "", text)
@@ -197,10 +233,12 @@ def _found(text: str) -> Found:
 
 Reader = Callable[[Path, str], Iterator[Found]]
 _READERS: tuple[tuple[str, Reader], ...] = (
-    (".parquet", _in_lerobot),
-    (".tar", _in_tar),
-    (".mcap", _in_mcap),
-    (FILE, _in_file),
-    (".json.gz", _in_habitat),
-    ("episodes.jsonl", _in_lines),
+    ("*.parquet", _in_lerobot),
+    ("*.tar", _in_tar),
+    ("*.mcap", _in_mcap),
+    (f"*{FILE}", _in_file),
+    ("*.json.gz", _in_habitat),
+    ("*episodes.jsonl", _in_lines),
+    ("*.tfrecord-*", _in_tfrecord),
+    ("*.hdf5", _in_hdf5),
 )

@@ -28,15 +28,11 @@ EXPORTERS: Mapping[str, str] = MappingProxyType(
         "coco": "factory.export.coco:CocoExporter",
         "navdp": "factory.export.internnav:NavDpExporter",
         "internnav": "factory.export.internnav:InternNavExporter",
+        "rlds": "factory.export.rlds:RldsExporter",
+        "robomimic": "factory.export.robomimic:RobomimicExporter",
     }
 )
 """Name of the format -> module and class."""
-
-
-_EXTERNAL_FORMATS: Mapping[str, str] = MappingProxyType(
-    {"rlds": "TFDS builds it from the dataset; builder and recipe are in docs/formats/rlds/README.md"}
-)
-"""Formats that other tools write -> explanation for the error message."""
 
 
 def check_format(name: str) -> None:
@@ -45,11 +41,9 @@ def check_format(name: str) -> None:
     Raises:
         UsageError: the format is unknown.
     """
-    if name in EXPORTERS:
-        return
-    if name.lower() in _EXTERNAL_FORMATS:
-        raise UsageError(f"`factory export` does not write {name.lower()}: {_EXTERNAL_FORMATS[name.lower()]}")
-    raise UsageError(f"unknown format {name!r}; valid formats: {', '.join(EXPORTERS)}{did_you_mean(name, EXPORTERS)}")
+    if name not in EXPORTERS:
+        valid = ", ".join(EXPORTERS)
+        raise UsageError(f"unknown format {name!r}; valid formats: {valid}{did_you_mean(name, EXPORTERS)}")
 
 
 @cache

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import pyarrow as pa
@@ -18,6 +19,7 @@ from factory.dataset.reader import Dataset
 from schemas.dataset.meta import DatasetMeta, described_as_frames, read_dataset_meta
 from schemas.episode import EpisodeMeta
 from schemas.rig import Rig
+from schemas.scene import Instance
 from schemas.storage.place import Place
 from schemas.terms import Recording
 
@@ -82,6 +84,11 @@ def describe_episode(episode: Episode) -> dict[str, Any]:
     values = plain_meta(episode.meta if is_stored else as_frames(episode, 0))
     del values["rollout"]["steps_visible"]
     return {name: value for name, value in values.items() if name not in _OF_RECORDING}
+
+
+def instances_json(instances: Sequence[Instance]) -> str:
+    """Returns the names of the instance ids as JSON: a list of `id`, `prim_path`, `category`, `materials`."""
+    return json.dumps([each.model_dump(mode="json") for each in instances], ensure_ascii=False)
 
 
 def plain_meta(meta: EpisodeMeta) -> dict[str, Any]:

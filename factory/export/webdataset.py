@@ -5,21 +5,18 @@ Members are copies of the bundle's bytes if readers support their type. Readers:
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import shutil
 import tarfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 from isal import igzip
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
+from factory.export.base import Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import WebdatasetOptions, stride_of
@@ -28,6 +25,7 @@ from factory.export.origin import origin_of
 from factory.export.questions import ask_questions, not_asked, questions_text
 from factory.export.rig.description import intrinsics_of, optical_poses, rig_table
 from factory.export.rig.reader import SensorReader, arrays_of, shown_rig
+from factory.export.shards import Shard, ShardFacts, join_files, shards_of
 from schemas.encoding.ndarray import encode_npy
 from schemas.encoding.png import encode_png
 from schemas.rig import CameraOutput, Imu, Sensor, WheelOdometry
@@ -128,24 +126,7 @@ _RECORDED_MEMBERS = """\
 _RECORDED_IMAGES = 'sample["rgb.png"], sample["depth.npy.gz"]'
 
 
-class WebdatasetFacts(EpisodeFacts):
-    """Facts of a piece that are needed to divide the pieces into shards."""
-
-    member_bytes: int
-    """Size of the members of the piece, bytes."""
-
-
-class Shard(NamedTuple):
-    """Shard with its pieces."""
-
-    name: str
-    pieces: tuple[ExportPiece[WebdatasetFacts], ...]
-    samples: int
-    size: int
-    """Size of the members, bytes."""
-
-
-class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
+class WebdatasetExporter(Exporter[WebdatasetOptions, ShardFacts]):
     """Exporter of format `webdataset`. A piece is a tar file without the end-of-archive blocks; pieces form a shard."""
 
     name = "webdataset"
@@ -155,9 +136,9 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     assembles = True
     takes_rig = True
     options = WebdatasetOptions
-    facts = WebdatasetFacts
+    facts = ShardFacts
 
-    def write_episode(self, episode: Episode, options: WebdatasetOptions, folder: Path) -> WebdatasetFacts:
+    def write_episode(self, episode: Episode, options: WebdatasetOptions, folder: Path) -> ShardFacts:
         """Writes the members of every exported frame, in order."""
         hz = episode.meta.job.task.control_hz
         stride = stride_of(options.fps, hz)
@@ -181,19 +162,20 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
             if reader is None
             else not_asked(episode)
         )
-        return WebdatasetFacts(frames=len(steps), member_bytes=size, questions=questions)
+        return ShardFacts(frames=len(steps), member_bytes=size, questions=questions)
 
-    def finish(self, export: Finish[WebdatasetOptions, WebdatasetFacts]) -> None:
+    def finish(self, export: Finish[WebdatasetOptions, ShardFacts]) -> None:
         """Joins the pieces of each split into shards; writes the list of shards and the card."""
         listed: list[dict[str, Any]] = []
         splits = list(dict.fromkeys(piece.split for piece in export.pieces))
         for split in splits:
             pieces = [piece for piece in export.pieces if piece.split == split]
-            for shard in shards_of(split, pieces, export.options.shard_mb * 1_000_000):
-                if not export.out.has(shard.name):
-                    with export.out.replacing(shard.name) as part:
-                        join_members((piece.folder / MEMBERS_FILE for piece in shard.pieces), part)
-                listed.append({"name": shard.name, "split": split, "samples": shard.samples, **_contents(shard)})
+            for number, shard in enumerate(shards_of(pieces, export.options.shard_mb * 1_000_000)):
+                name = f"{split}-{number:06d}.tar"
+                if not export.out.has(name):
+                    with export.out.replacing(name) as part:
+                        join_files((piece.folder / MEMBERS_FILE for piece in shard.pieces), part, _end_of_archive)
+                listed.append({"name": name, "split": split, "samples": shard.samples, **_contents(shard)})
         export.out.write_text(SHARDS_FILE, json.dumps({"shards": listed}, indent=1) + "\n")
         files = {split: f"{split}-*.tar" for split in splits}
         configs = {"default": files} | {split: {"train": path} for split, path in files.items()}
@@ -209,28 +191,6 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
             export.dataset.meta, rig, len(export.pieces), text, configs, tags=("webdataset",), questions=asked
         )
         export.out.write_text(CARD_FILE, card)
-
-
-def shards_of(split: str, pieces: Sequence[ExportPiece[WebdatasetFacts]], limit_bytes: int) -> Iterator[Shard]:
-    """Yields the shards of a split: pieces in a fixed pseudo-random order; a new shard begins when one is full.
-
-    The order of the plan groups episodes by scene; shuffling mixes scenes within a shard.
-    """
-    chosen: list[ExportPiece[WebdatasetFacts]] = []
-    samples = size = number = 0
-    for piece in sorted(pieces, key=lambda piece: hashlib.sha256(piece.episode_id.encode()).digest()):
-        facts = piece.facts
-        chosen.append(piece)
-        samples, size = samples + facts.frames, size + facts.member_bytes
-        if size >= limit_bytes:
-            yield Shard(_shard_name(split, number), tuple(chosen), samples, size)
-            chosen, samples, size, number = [], 0, 0, number + 1
-    if chosen:
-        yield Shard(_shard_name(split, number), tuple(chosen), samples, size)
-
-
-def _shard_name(split: str, number: int) -> str:
-    return f"{split}-{number:06d}.tar"
 
 
 def _pattern(shards: Sequence[str]) -> str:
@@ -291,7 +251,7 @@ def _facts(episode: Episode, t: int) -> dict[str, Any]:
 
 
 def write_member(file: BinaryIO, name: str, data: bytes) -> None:
-    """Appends one member without owner and time; `join_members` writes the end of the archive."""
+    """Appends one member without owner and time, and not the end of the archive."""
     info = tarfile.TarInfo(name)
     info.size, info.mode = len(data), _MEMBER_MODE
     file.write(info.tobuf(tarfile.USTAR_FORMAT))
@@ -304,13 +264,7 @@ def member_bytes(size: int) -> int:
     return tarfile.BLOCKSIZE + size + -size % tarfile.BLOCKSIZE
 
 
-def join_members(pieces: Iterable[Path], shard: Path) -> None:
-    """Concatenates files of members into an archive, in bounded memory."""
-    with shard.open("wb") as out:
-        for piece in pieces:
-            with piece.open("rb") as members:
-                shutil.copyfileobj(members, out, 1 << 20)
-        out.write(b"\0" * (2 * tarfile.BLOCKSIZE))
-        out.write(b"\0" * (-out.tell() % tarfile.RECORDSIZE))
-        out.flush()
-        os.fsync(out.fileno())
+def _end_of_archive(size: int) -> bytes:
+    """Returns the blocks that end an archive whose members take `size` bytes."""
+    end = 2 * tarfile.BLOCKSIZE
+    return b"\0" * (end + -(size + end) % tarfile.RECORDSIZE)

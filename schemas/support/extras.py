@@ -35,6 +35,7 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "embreex": "render",
         "matplotlib": "report",
         "rosbags": "ros2",
+        "h5py": "robomimic",
         "huggingface_hub": "hub",
         "rerun": "view",
         "gymnasium": "eval",

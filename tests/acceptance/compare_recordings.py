@@ -43,6 +43,8 @@ EXPORTS: Mapping[str, tuple[str, ...]] = {
     "navdp": ("--fps", "20"),
     "internnav": (),
     "vlnce": (),
+    "rlds": ("--fps", "20"),
+    "robomimic": ("--fps", "20"),
 }
 """Export -> options."""
 

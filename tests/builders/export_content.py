@@ -1,8 +1,9 @@
 """Lists everything that an export contains by name: files, columns, keys, members of shards, topics. Reads all formats.
 
-A name is `file:PATTERN`, `column:NAME`, `key:a.b`, `member:SUFFIX`, `topic:NAME` or `pickle:KEY`. Numbers in paths are
-replaced by `#`. Descriptions of the export (`README.md`, `export.json`, `rig.json`, statistics, schemas) are not
-listed, and an origin is one name, because it is the description of a job.
+A name is `file:PATTERN`, `column:NAME`, `key:a.b`, `member:SUFFIX`, `topic:NAME`, `pickle:KEY` or `feature:NAME`, a
+feature of TFRecord or a member of HDF5. Numbers in paths are replaced by `#`. Descriptions of the export (`README.md`,
+`export.json`, `rig.json`, statistics, schemas) are not listed, and an origin is one name, because it is the description
+of a job.
 """
 
 from __future__ import annotations
@@ -16,9 +17,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import h5py
 import pyarrow.parquet as pq
 
+from tests.builders.tfrecord import examples_in
+
 _DESCRIPTIONS = {"README.md", "export.json", "info.json", "stats.json", "modality.json", "shards.json"}
+_DESCRIPTIONS |= {"features.json", "dataset_info.json"}
 _DESCRIPTIONS |= {"episodes_stats.jsonl"}
 ORIGIN = "origin"
 
@@ -40,6 +45,10 @@ def _names(path: Path, out: Path) -> Iterator[str]:
         yield from _members(path)
     elif path.suffix == ".mcap":
         yield from _records(path)
+    elif ".tfrecord-" in path.name:
+        yield from _features(path)
+    elif path.suffix == ".hdf5":
+        yield from _demonstrations(path)
     elif path.suffix == ".pkl":
         yield from (f"pickle:{key}" for key in pickle.loads(path.read_bytes()))
 
@@ -82,6 +91,21 @@ def _members(path: Path) -> Iterator[str]:
                 file = archive.extractfile(member)
                 assert file is not None
                 yield from _keys(json.load(file))
+
+
+def _features(path: Path) -> Iterator[str]:
+    for example in examples_in(path):
+        yield from (f"feature:{name}" for name in example)
+        yield from _keys({"instances": json.loads(example["episode_metadata/instances"][0])})
+
+
+def _demonstrations(path: Path) -> Iterator[str]:
+    with h5py.File(path) as file:
+        for demo in file["data"].values():
+            names: list[str] = [*demo.attrs]
+            demo.visititems(lambda name, item, names=names: names.append(name) if hasattr(item, "shape") else None)
+            yield from (f"feature:{name}" for name in names)
+            yield from _keys({"instances": json.loads(demo["instances"][()])})
 
 
 def _records(path: Path) -> Iterator[str]:

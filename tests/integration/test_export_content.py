@@ -9,11 +9,9 @@ import pytest
 
 import factory.export.lerobot.common as lerobot
 from factory.dataset.episode import Episode
-from factory.dataset.reader import Dataset
 from factory.export.content import CONTENT, FACTS, content_markdown, contradictions, losses_of
 from factory.export.execution.export_run import ExportOrder, run_export
 from factory.export.registry import EXPORTERS, find_exporter
-from factory.export.rlds import rlds_metadata, rlds_steps
 from schemas.language.question.meaning import AnswerKind, Question, QuestionKind, QuestionMeaning
 from schemas.language.route.meaning import RouteStep, SubInstruction
 from schemas.terms import Recording
@@ -26,7 +24,7 @@ SLOW: dict[str, Any] = {"fps": 2}
 OPTIONS: dict[str, dict[str, Any]] = {
     "lerobot": SLOW | {"depth": True, "ids": True},
     "mcap --ros2": SLOW | {"ros2": True},
-    **dict.fromkeys(("lerobot-v2.1", "webdataset", "mcap", "gnm", "coco", "navdp"), SLOW),
+    **dict.fromkeys(("lerobot-v2.1", "webdataset", "mcap", "gnm", "coco", "navdp", "rlds", "robomimic"), SLOW),
 }
 STEP = SubInstruction(number=1, text="Turn left.", step=RouteStep(kind="forward", metres=1), start=0, end=30)
 QUESTION = Question(
@@ -53,12 +51,12 @@ def dataset(recordings: dict[Recording, Path], monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_table_has_every_format() -> None:
-    assert {name.partition(" ")[0] for name in CONTENT} == {*EXPORTERS, "rlds"}
+    assert {name.partition(" ")[0] for name in CONTENT} == EXPORTERS.keys()
     assert {fact for kept in CONTENT.values() for fact in kept} <= FACTS.keys()
     assert [name for name in CONTENT if not losses_of(name)] == []
 
 
-@pytest.mark.parametrize("name", sorted(CONTENT.keys() - {"rlds"}))
+@pytest.mark.parametrize("name", sorted(CONTENT))
 def test_an_export_contains_what_the_table_states_and_nothing_that_it_states_as_lost(
     dataset: Path, tmp_path: Path, name: str
 ) -> None:
@@ -70,14 +68,6 @@ def test_an_export_contains_what_the_table_states_and_nothing_that_it_states_as_
     assert contradictions(name, found) == []
     kept = next(iter(CONTENT[name].values()))
     assert contradictions(name, found - {each for each in found if each.partition(":")[2] in kept.place}) != []
-
-
-def test_rlds_steps_and_metadata_contain_what_the_table_states(dataset: Path) -> None:
-    episode = Dataset(dataset)[0]
-    step: dict[str, Any] = dict(next(iter(rlds_steps(episode, 2))))
-    names = {f"key:observation.{name}" for name in step.pop("observation")}
-    names |= {f"key:{name}" for name in (*step, *rlds_metadata(episode))}
-    assert contradictions("rlds", frozenset(names)) == []
 
 
 def test_a_wrong_table_is_noticed() -> None:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -34,6 +35,7 @@ from factory.export.video import read_video
 from schemas.appearance import Appearance, CameraRanges
 from schemas.terms import Recording
 from tests.builders.driven import make_driven
+from tests.builders.tfrecord import depth_of, examples_in, image_of
 
 pytestmark = pytest.mark.gl
 BOXES = {"crate": ((2.2, 1.0, 0.0), (2.8, 1.6, 0.6)), "barrel": ((-3.0, -2.2, 0.0), (-2.5, -1.7, 0.9))}
@@ -134,6 +136,24 @@ def in_mcap(out: Path) -> Seen:
     return Seen(found["/camera/depth"], found["matrix"], pose, found["/camera/ids"])
 
 
+def in_rlds(out: Path) -> Seen:
+    for file in sorted(out.rglob("*.tfrecord-*")):
+        for found in examples_in(file):
+            if found["episode_metadata/episode_id"] == [b"ep_000001"]:
+                depth = depth_of(found["steps/observation/depth"][ROW])
+                ids = image_of(found["steps/observation/ids"][ROW])
+                pose = np.reshape(found["steps/camera_pose"], (-1, 7))[ROW]
+                return Seen(depth, np.reshape(found["episode_metadata/camera_matrix"], (3, 3)), pose, ids)
+    raise AssertionError("ep_000001 is not in the export")
+
+
+def in_robomimic(out: Path) -> Seen:
+    with h5py.File(out / "dataset.hdf5") as file:
+        demo = file["data/demo_1"]
+        depth, ids = (demo[f"obs/{name}"][ROW, :, :, 0] for name in ("depth", "ids"))
+        return Seen(depth, demo.attrs["camera_matrix"], demo["camera_pose"][ROW], ids)
+
+
 READERS: dict[str, tuple[dict[str, Any], Callable[[Path], Seen], float]] = {
     "paper": ({}, in_paper, 0.001),
     "lerobot": ({"depth": True, "ids": True, "fps": FPS}, in_lerobot, 0.005),
@@ -141,6 +161,8 @@ READERS: dict[str, tuple[dict[str, Any], Callable[[Path], Seen], float]] = {
     "mcap": ({"fps": FPS}, in_mcap, 0.001),
     "navdp": ({"fps": FPS}, in_navdp, 0.001),
     "internnav": ({}, in_internnav, 0.002),
+    "rlds": ({"fps": FPS, "image_px": 640}, in_rlds, 0.001),
+    "robomimic": ({"fps": FPS, "image_px": 640}, in_robomimic, 0.001),
 }
 """Format with depth -> options, reader, and the largest distance of a point from its face, metres."""
 WITHOUT_DEPTH = {"lerobot-v2.1", "gnm", "vlnce", "coco"}

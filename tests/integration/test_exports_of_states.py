@@ -39,6 +39,8 @@ EXPORTS: list[tuple[str, dict[str, Any]]] = [
     ("coco", {"fps": 6}),
     ("navdp", {"fps": 6}),
     ("internnav", {}),
+    ("rlds", {"fps": 6}),
+    ("robomimic", {"fps": 6, "image_px": 96}),
 ]
 
 

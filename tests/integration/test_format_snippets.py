@@ -1,7 +1,7 @@
 """Runs the snippets of docs/formats and of the README of each export on the export that they belong to.
 
-Snippets for LeRobot run in its own environments, by `tests/readers/lerobot_reader.py` and `lerobot_v21_reader.py`; the
-recipe for RLDS runs in `tests/readers/rlds_reader.py` (`make test-formats`).
+Snippets for LeRobot run in its own environments, by `tests/readers/lerobot_reader.py` and `lerobot_v21_reader.py`
+(`make test-formats`).
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ OPTIONS = {
     "coco": SLOW,
     "lerobot": SLOW,
     "lerobot-v2.1": SLOW,
+    "rlds": SLOW,
+    "robomimic": SLOW,
     "webdataset": SLOW | {"shard_mb": 1},
 }
 

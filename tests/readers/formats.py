@@ -32,6 +32,10 @@ RUNS: dict[str, tuple[str, ...]] = {
     "vlnce": ("vlnce",),
     "navdp": ("navdp", "--fps", "20"),
     "internnav": ("internnav",),
+    "rlds": ("rlds",),
+    "rlds-640": ("rlds", "--fps", "10", "--image-px", "640", "--loader-splits"),
+    "robomimic": ("robomimic",),
+    "robomimic-640": ("robomimic", "--fps", "10", "--image-px", "640"),
     "paper-rig": ("paper", *RIG),
     "lerobot-rig": ("lerobot", *ALL, *RIG),
 }
@@ -59,7 +63,8 @@ READERS: dict[str, Reader] = {
     "gnm": Reader("lerobot", ("paper", "gnm")),
     "internnav": Reader("lerobot", ("navdp", "internnav")),
     "habitat": Reader("habitat", ("paper", "vlnce")),
-    "rlds": Reader("readers", ("dataset", "paper", "rlds")),
+    "rlds": Reader("readers", ("paper", "rlds", "rlds-640")),
+    "robomimic": Reader("readers", ("paper", "robomimic", "robomimic-640")),
     "rerun": Reader("readers", ("dataset", "paper", "mcap", "lerobot", "lerobot-v2.1")),
 }
 """Name of the script without `_reader.py` -> its environment and the folders that it compares."""

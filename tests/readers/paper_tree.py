@@ -40,6 +40,16 @@ def psnr(one: NDArray[Any], two: NDArray[Any]) -> float:
     return float(10 * np.log10(255.0**2 / np.mean((one.astype(np.float64) - two) ** 2)))
 
 
+def shrunk(image: NDArray[Any], side: int) -> NDArray[Any]:
+    """Returns an image of `side` pixels: colours averaged over squares, depth and ids of the pixel in the middle."""
+    if len(image) == side:
+        return image
+    if image.ndim == 3:
+        return np.asarray(Image.fromarray(image).resize((side, side), Image.Resampling.BOX))
+    middle = ((np.arange(side) + 0.5) * len(image) / side).astype(int)
+    return image[middle[:, None], middle]
+
+
 def mean_commands(actions: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
     """Returns (N, 2) mean commands, each from one kept frame to the next."""
     return np.stack([actions[t : t + stride].mean(axis=0) for t in range(0, len(actions), stride)])

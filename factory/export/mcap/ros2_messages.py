@@ -8,7 +8,6 @@ Pure functions. Does not encode messages.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -21,6 +20,7 @@ from factory.export.mcap.messages import TopicMessage, calibration, paths_of, po
 from factory.export.mcap.sensor_frames import links_of, odometry_links
 from factory.export.rig.description import OPTICAL_QUATERNION, mount_row
 from factory.export.rig.reader import shown_pinhole, shown_rig
+from factory.export.source import instances_json
 from schemas.rig import PinholeCamera
 from schemas.scene import CompiledScene, Instance, Target
 
@@ -114,8 +114,7 @@ def _label_messages(instances: Sequence[Instance], stamp_ns: int) -> Iterator[To
         {"class_id": each.id, "class_name": each.category or each.prim_path.rpartition("/")[2]} for each in instances
     ]
     yield TopicMessage("/ids/label_info", {"header": header_of("", stamp_ns), "class_map": classes})
-    described = [each.model_dump(mode="json") for each in instances]
-    yield TopicMessage("/ids/instances", {"data": json.dumps(described, ensure_ascii=False)})
+    yield TopicMessage("/ids/instances", {"data": instances_json(instances)})
 
 
 def _image_messages(episode: Episode, t: int, header: dict[str, Any]) -> Iterator[TopicMessage]:

@@ -68,15 +68,11 @@ def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, 
     assert complete(*words) == found
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("lerobt", "unknown format 'lerobt'; valid formats: paper, .*; did you mean 'lerobot'"),
-        ("rlds", "TFDS builds it .*docs/formats/rlds/README.md"),
-    ],
-)
-def test_the_error_of_an_unknown_format_suggests_the_closest_format_or_names_its_page(name: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
+@pytest.mark.parametrize(("name", "closest"), [("RLDS", "rlds"), ("lerobt", "lerobot")])
+def test_the_error_of_an_unknown_format_suggests_the_closest_format(name: str, closest: str) -> None:
+    with pytest.raises(
+        UsageError, match=f"unknown format '{name}'; valid formats: paper, .*; did you mean '{closest}'"
+    ):
         cli.main(["export", ".", "--to", name, "-o", "nowhere"], standalone_mode=False)
 
 
