@@ -140,7 +140,7 @@ def _resize(rgb: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
 
 def _nearest(image: NDArray[Any], side: int) -> NDArray[Any]:
     chosen = ((np.arange(side) + 0.5) * image.shape[0] / side).astype(int)
-    return image[chosen[:, None], chosen[None, :]]
+    return np.asarray(image[chosen[:, None], chosen[None, :]])
 
 
 DATASET_NAME = "minivla_nav"
