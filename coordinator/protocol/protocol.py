@@ -98,6 +98,8 @@ class Terms:
     """Pause of a worker before its next claim if no job is due, seconds."""
     is_draining: Callable[[], bool] = lambda: False
     """Function that returns whether workers shall stop after their current jobs."""
+    is_finished: Callable[[], bool] = lambda: False
+    """Function that returns whether the run was finished at the last check, without reading the ledger."""
     has_room: Callable[[], bool] = lambda: True
     """Function that returns whether the archive has space for the bundle of a new job."""
     evaluation: EvalJobs | None = None

@@ -18,7 +18,7 @@ from schemas.terms import FailReason
 
 KEY_LAYOUT = 1
 """Version of the keys; it is part of every key. It stays, so peers of all versions reach each other and can refuse."""
-PROTOCOL = 2
+PROTOCOL = 3
 """Version of the messages, which a peer states when it registers. A change of any message increases it."""
 FIRST_PROTOCOL = 1
 """Version of the messages of peers that state none."""
