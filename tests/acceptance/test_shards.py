@@ -40,7 +40,7 @@ def test_a_locked_shard_is_refused_without_a_count_of_episodes(factory, plan, re
     with DirectoryArchive(out):
         words = ("--scenes", reference / "scenes", "--shard", "2/2", "--out", out)
         said = factory("run", plan, *words, expect=1).stderr
-    assert "another coordinator works on it" in said
+    assert f"another coordinator works on {out}" in said
     assert re.findall(r"\d+/\d+", said.replace(str(out), "")) == []
 
 
