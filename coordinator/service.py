@@ -70,7 +70,7 @@ class Coordinator(Closing):
     def __init__(self, root: Path, plan: Plan, catalog: Catalog, options: CoordinatorOptions | None = None) -> None:
         options = options or CoordinatorOptions()
         self._settings = options.settings
-        self._draining = threading.Event()
+        self._draining, self._finished = threading.Event(), threading.Event()
         room = FreeSpaceMonitor(options.settings.reserve_bytes)
         scenes = dict(catalog)
         terms = self._terms_of(plan, scenes, options, room)
@@ -131,7 +131,11 @@ class Coordinator(Closing):
         self._handler.require_no_fault()
         for tasks in self._periodic_tasks:
             tasks.require_no_fault()
-        return self._run.ledger.is_finished()
+        if self._run.ledger.is_finished():
+            self._finished.set()
+        else:
+            self._finished.clear()
+        return self._finished.is_set()
 
     def wait(self, timeout_s: float | None = None, stop: threading.Event | None = None) -> bool:
         """Waits until the run is finished.
@@ -198,6 +202,7 @@ class Coordinator(Closing):
             lease_ttl_s=options.settings.lease_ttl_s,
             retry_after_s=options.settings.retry_after_s,
             is_draining=self._draining.is_set,
+            is_finished=self._finished.is_set,
             has_room=lambda: room.has_room,
             evaluation=options.evaluation,
             is_pulled=lambda index: self._pullers.has(index),

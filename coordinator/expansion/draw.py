@@ -29,7 +29,7 @@ from schemas.job import Job
 from schemas.language.language_file import LanguageSpec
 from schemas.layouts import LayoutPlan
 from schemas.plan import Plan
-from schemas.protocol.messages import EvalPayload
+from schemas.protocol.messages import EvalPayload, PolicyWait
 from schemas.scene import SceneInfo
 from schemas.support.apportion import least_used
 from schemas.terms import Recording, Split, Tier
@@ -46,6 +46,9 @@ class EvalJobs:
     """Function that returns the payload of a job by its index."""
     files: Mapping[str, Path] = field(default_factory=dict)
     """Attached files by SHA-256."""
+    on_wait: Callable[[int, PolicyWait], None] = lambda _index, _wait: None
+    """Callback with the index of a job that waits long for its policy; called in the thread of the ledger for each
+    heartbeat, so it must not block."""
 
 
 Option = TypeVar("Option")

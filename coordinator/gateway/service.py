@@ -74,6 +74,7 @@ class Gateway(Closing):
         self._guard = guard
         self._connect = tuple(connect)
         self._closing = stop = stop or threading.Event()
+        self._finished = False
         self._meters = Meters()
         self._checker = checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
@@ -99,6 +100,11 @@ class Gateway(Closing):
         """Raises `RuntimeError` if the gateway fails by an error of this software that repetition cannot change."""
         self._pullers.require_no_fault()
         self._periodic_tasks.require_no_fault()
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the run was finished when the core answered last."""
+        return self._finished
 
     def is_alive(self) -> bool:
         """Returns whether the thread that fetches orders runs; if it has ended, restart the process."""
@@ -182,6 +188,7 @@ class Gateway(Closing):
         except TransientError as error:
             log.debug("no_orders", error=str(error))
             return
+        self._finished = reply.finished
         for order in reply.orders:
             self._pullers.offer(_bundle_of(order))
 

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
-from sqlalchemy import Row
+from sqlalchemy import Row, select
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
@@ -22,7 +22,7 @@ from coordinator.ledger import administration, claims, hosts, outcomes
 from coordinator.ledger.builds import number_of_layout, order_of
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
-from coordinator.ledger.tables import BUILD
+from coordinator.ledger.tables import BUILD, jobs
 from coordinator.protocol.bundles import BuildJob, IncomingBundle
 from schemas.base import Model
 from schemas.exchangeable import candidates_of
@@ -98,6 +98,8 @@ class Terms:
     """Pause of a worker before its next claim if no job is due, seconds."""
     is_draining: Callable[[], bool] = lambda: False
     """Function that returns whether workers shall stop after their current jobs."""
+    is_finished: Callable[[], bool] = lambda: False
+    """Function that returns whether the run was finished at the last check, without reading the ledger."""
     has_room: Callable[[], bool] = lambda: True
     """Function that returns whether the archive has space for the bundle of a new job."""
     evaluation: EvalJobs | None = None
@@ -274,6 +276,7 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
     if beat.memory is not None and (host in terms.memory or len(terms.memory) < hosts.SESSIONS):
         terms.memory[host] = beat.memory
     outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
+    _report_waits(connection, beat, terms)
     waiting = tuple(lease_of(row) for row in outcome.waiting)
     is_idle = len(outcome.lost) == len(beat.live) and len(outcome.drop) == len(beat.spool)
     reply = BeatReply(
@@ -285,6 +288,15 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
     )
     unpulled = (row for row in outcome.waiting if not terms.is_pulled(row.idx))
     return ProtocolAnswer(reply, tuple(_bundle_of(row, beat.sid, beat.via, terms) for row in unpulled))
+
+
+def _report_waits(connection: Connection, beat: Beat, terms: Terms) -> None:
+    """Passes the long waits for policies to the evaluation."""
+    waits = {progress.lease.job_id: progress.waits for progress in beat.live if progress.waits is not None}
+    if terms.evaluation is None or not waits:
+        return
+    for row in connection.execute(select(jobs.c.id, jobs.c.idx).where(jobs.c.id.in_(waits))):
+        terms.evaluation.on_wait(row.idx, waits[row.id])
 
 
 def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001

@@ -74,6 +74,8 @@ class Orders(Model):
 
     orders: Annotated[tuple[RelayOrder, ...], Field(max_length=MAX_ORDERS)] = ()
     """Bundles to pull."""
+    finished: bool = False
+    """Whether the run is finished, so the gateway will get no more orders unless jobs are queued again."""
 
 
 class ExtendLease(Model):

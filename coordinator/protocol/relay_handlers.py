@@ -64,14 +64,15 @@ def serve_gateway(connection: Connection, request: ParsedRequest, terms: Terms, 
     return ProtocolAnswer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
 
 
-def orders_for(bundles: tuple[IncomingBundle, ...]) -> Orders:
-    """Returns the message with the orders of a gateway."""
+def orders_for(bundles: tuple[IncomingBundle, ...], *, finished: bool) -> Orders:
+    """Returns the message with the orders of a gateway and whether the run is finished."""
     return Orders(
         orders=tuple(
             RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, candidates=p.candidates)
             for p in bundles
             if isinstance(p.job, Job)  # no package of a layout is assigned to a gateway
-        )
+        ),
+        finished=finished,
     )
 
 

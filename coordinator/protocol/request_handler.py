@@ -171,7 +171,8 @@ class RequestHandler(Closing):
             return
         if isinstance(request.message, OrdersRequest):
             duty = request.message
-            inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most, duty.busy)))
+            orders = self._dispatch.take(request.host, duty.router, duty.most, duty.busy)
+            inquiry.answer(orders_for(orders, finished=self._terms.is_finished()))
             return
         octets = len(inquiry.payload)
         if self._writer.backlog > self._backlog or not self._load.enter(request.host, octets):

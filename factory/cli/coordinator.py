@@ -107,7 +107,7 @@ def start(
     """Assign the jobs of a plan to workers and archive their episodes.
 
     PLAN is a built-in plan (demo, paper, balanced, referring) or a TOML file; default: the plan of the dataset in
-    --out, or demo. Exits when the run has finished: with 0, or with 1 if episodes are missing. Exits with 0 if it
+    --out, or demo. Exits when the run has finished: with 0, or with 1 if episodes are missing. Exits with 130 if it
     is stopped earlier. The gate (--gate) runs on this host before the first job is assigned.
     """
     from coordinator.options import CoordinatorOptions
@@ -213,7 +213,7 @@ def _print_end(site: Site, progress: Progress) -> int:
 
     if not progress.finished:
         click.echo(f"stopped; continue with: factory coordinator start --out {quoted(site)}", err=True)
-        return 0
+        return 130
     click.echo("finished", err=True)
     print_missing(site, progress)
     return 1 if progress.missing else 0

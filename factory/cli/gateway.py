@@ -58,7 +58,8 @@ def start(
     """Validate and store the episodes of workers for a coordinator.
 
     The coordinator keeps the ledger and assigns the jobs; episodes are not sent to it. The gateway runs until it is
-    stopped. When the run has finished, copy the episodes of all gateways into one dataset with `factory gather`.
+    stopped, and then exits with 0 if the run has finished, else with 130. When the run has finished, copy the episodes
+    of all gateways into one dataset with `factory gather`.
     """
     from coordinator.gateway.service import Gateway
     from coordinator.settings import CoordinatorSettings
@@ -86,13 +87,15 @@ def start(
                     click.echo(f"factory worker --cores 2 --connect {endpoint}")
                 while not stop.wait(_POLL_S):
                     gateway.require_no_fault()
+                is_finished = gateway.is_finished
         except TransientError:
             if not stop.is_set():
                 raise
             click.echo(f"stopped before the coordinator at {', '.join(connect)} answered", err=True)
             return 130
-    click.echo(f"stopped; the episodes of this gateway are in {root}", err=True)
-    return 0
+    end = "the run is finished" if is_finished else "stopped before the run was finished"
+    click.echo(f"{end}; the episodes of this gateway are in {root}", err=True)
+    return 0 if is_finished else 130
 
 
 def _choose_identity(

@@ -334,7 +334,7 @@ def _run(
     from factory.runs.summary import RunBar
 
     recorder = None if run.shard is None else ShardRecorder(site, run.shard, run.plan, run.catalog)
-    with RunBar(run.plan, run.shard) as bar:
+    with RunBar(run.plan) as bar:
 
         def on_progress(progress: Progress) -> None:
             bar.show(progress)

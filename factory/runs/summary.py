@@ -6,11 +6,11 @@ from typing import Any
 
 import click
 import pyarrow.compute as pc
+from rich.console import Console
 
 from factory.dataset.reader import Dataset
-from factory.support.terminal import Bars, print_table, print_text
+from factory.support.terminal import Bars, print_table, print_text, stderr
 from factory.support.text import format_duration
-from schemas.dataset.run_shard import RunShard
 from schemas.plan import Plan
 from schemas.protocol.status import Progress
 from schemas.storage.place import Place
@@ -22,12 +22,14 @@ _WORDS = {str(FailReason.RELEASED): "returned"}
 
 
 class RunBar(Bars):
-    """Progress bar of a run: episodes, rate, time left, running jobs and failed attempts."""
+    """Progress bar of a run: episodes, rate, time left, running jobs and failed attempts.
 
-    def __init__(self, plan: Plan, shard: RunShard | None = None) -> None:
-        super().__init__()
-        total = plan.episodes if shard is None else len(shard.numbers(plan.episodes))
-        self._task = self.add_task(plan.name, total=total)
+    Nothing is shown before the first progress is known, so a run that cannot start shows no count.
+    """
+
+    def __init__(self, plan: Plan, console: Console = stderr) -> None:
+        super().__init__(console=console)
+        self._task = self.add_task(plan.name, total=None, visible=False)
 
     def show(self, progress: Progress) -> None:
         """Updates the bar."""
@@ -39,7 +41,7 @@ class RunBar(Bars):
         reason = max(progress.failures, key=progress.failures.__getitem__) if failures > done else ""
         most = f" (most: {reason} {progress.failures[reason]})" if reason else ""
         note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts{most}{layouts}"
-        self.update(self._task, total=progress.planned, completed=done, note=note)
+        self.update(self._task, total=progress.planned, completed=done, note=note, visible=True)
 
 
 def summarise(root: Place, progress: Progress) -> dict[str, Any]:

@@ -165,7 +165,7 @@ def coordinator_script(job: SlurmJob) -> str:
     start = ("coordinator", "start", job.plan, "--out", job.dataset, "--listen", "tls/0.0.0.0:0", "--pullers", job.cpus)
     lines = (
         f'{_command(job, *keys)} --address "{_HOST}" || exit $?',
-        f"run_task 0 {_command(job, *start, '--tls', job.run / 'pki' / 'hub')}",
+        f"run_task 130 {_command(job, *start, '--tls', job.run / 'pki' / 'hub')}",
     )
     return _script(job, "coordinator", "\n".join(lines), cpus=job.cpus)
 

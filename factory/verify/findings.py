@@ -87,7 +87,10 @@ def print_report(report: VerifyReport) -> None:
     how += f"; frames of {report.rendered} episodes rendered again" if report.rendered else ""
     verdict = "valid" if report.ok else f"{len(report.findings)} findings"
     state = "complete" if report.complete else "incomplete"
-    click.echo(f"{report.root}: {verdict} ({how}); {report.episodes} episodes, {state}, digest {report.digest}")
+    content = f"{report.episodes} episodes, {state}, digest {report.digest}"
+    if report.digest is None:
+        content = "the tables cannot be read, so the number of episodes and the digest are unknown"
+    click.echo(f"{report.root}: {verdict} ({how}); {content}")
 
 
 def _print_difference(difference: RenderDifference) -> None:

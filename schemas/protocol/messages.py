@@ -18,7 +18,7 @@ from schemas.terms import FailReason
 
 KEY_LAYOUT = 1
 """Version of the keys; it is part of every key. It stays, so peers of all versions reach each other and can refuse."""
-PROTOCOL = 2
+PROTOCOL = 3
 """Version of the messages, which a peer states when it registers. A change of any message increases it."""
 FIRST_PROTOCOL = 1
 """Version of the messages of peers that state none."""
@@ -187,6 +187,13 @@ class ClaimReply(Model):
     """Whether all jobs have ended, so the worker may exit."""
 
 
+class PolicyWait(StrEnum):
+    """What an evaluation waits for, for seconds already."""
+
+    FIRST = "first"  # the creation of the policy, a reset, or the first answer of a process or connection
+    ANSWER = "answer"  # another answer of the policy
+
+
 class LeaseProgress(Model):
     """Progress of a simulation under its lease."""
 
@@ -194,6 +201,8 @@ class LeaseProgress(Model):
     """Lease of the simulation."""
     step: Count
     """Number of steps simulated in this attempt."""
+    waits: PolicyWait | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Long wait for the policy of an evaluation; omitted without one."""
 
 
 class HostMemory(Model):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -49,6 +51,26 @@ def test_a_gateway_without_a_coordinator_waits_until_it_is_stopped(factory: Fact
     waiting.terminate()
     _, err = waiting.communicate(timeout=60)
     assert (waiting.returncode, "stopped before the coordinator at" in err) == (130, True), err
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("is_finished", [False, True])
+def test_coordinator_and_gateway_exit_with_130_if_they_are_stopped_before_the_run_is_finished(
+    factory: FactoryCli, plan: Path, reference_copy: Path, tmp_path: Path, number: signal.Signals, is_finished: bool
+):
+    core, kept = free_endpoint(), tmp_path / "gw"
+    run = ("--out", reference_copy) if is_finished else (plan, "--out", tmp_path / "out", "--gate", "skip")
+    hub = factory.start("coordinator", "start", *run, "--listen", core, "--stay")
+    words = ("--connect", core, "--out", kept, "--listen", free_endpoint(), "--name", "gw1")
+    gateway = factory.start("gateway", "start", *words)
+    wait_for((kept / "gateway.json").exists, 400)  # the coordinator builds the scenes first
+    time.sleep(1.0)  # the gateway asks for orders four times a second
+    for process, end in ((gateway, f"the episodes of this gateway are in {kept}"), (hub, "factory coordinator start")):
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+        assert process.returncode == (0 if is_finished else 130), said
+        assert ("stopped" in said) != is_finished
+        assert is_finished or end in said
 
 
 def test_without_certificates_a_gateway_listens_on_loopback_only(command: Command, tmp_path: Path):

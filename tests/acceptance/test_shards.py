@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from coordinator.archive.directory import DirectoryArchive
 from tests.acceptance.factory_cli import kill_group, wait_for
 
 
@@ -31,6 +33,15 @@ def test_shards_of_which_one_is_killed_and_resumed_give_the_digest_of_the_run_wi
     status = command.json("status", shards)
     assert (status["finished_shards"], status["archived"]) == (2, 5)
     assert _scene_of(shards / "a") == _scene_of(reference)
+
+
+def test_a_locked_shard_is_refused_without_a_count_of_episodes(factory, plan, reference, tmp_path):
+    out = tmp_path / "shard"
+    with DirectoryArchive(out):
+        words = ("--scenes", reference / "scenes", "--shard", "2/2", "--out", out)
+        said = factory("run", plan, *words, expect=1).stderr
+    assert f"another coordinator works on {out}" in said
+    assert re.findall(r"\d+/\d+", said.replace(str(out), "")) == []
 
 
 def _scene_of(root: Path) -> object:

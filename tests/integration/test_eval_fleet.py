@@ -9,9 +9,11 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from websockets.sync.server import ServerConnection
 
 from coordinator.ledger.database.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of
@@ -20,6 +22,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
 from factory.eval.models.result import Variant
+from factory.eval.policies.remote import pack
 from factory.eval.process.local_campaign import Pace
 from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.eval.specs.campaign import Campaign
@@ -28,6 +31,7 @@ from schemas.support.child import python_module
 from tests.builders.evaluation import open_store, standing_still
 from tests.builders.former_ledger import make_former
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.policy_server import policy_server
 from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, settings_for
 
@@ -77,6 +81,39 @@ def test_workers_of_a_collection_run_an_evaluation_and_resume_the_collection(
         assert run_fleet(campaign, drives.meta.plan, store, FleetAccess(), threading.Event(), told.append)
     assert [pace.done for pace in told] == [0, 1, 2, 2]
     assert not (tmp_path / "out" / "fleet").exists()
+
+
+def test_waits_of_workers_for_a_policy_server_are_shown_with_their_limits(
+    drives: Dataset, campaign: Campaign, tmp_path: Path
+) -> None:
+    first = "waiting for loading, reset or first answer, at most 70 s (--load-timeout)"
+    other = "waiting for an answer, at most 60 s (--act-timeout)"
+    shown = {first: threading.Event(), other: threading.Event()}
+    told: list[Pace] = []
+
+    def tell(pace: Pace) -> None:
+        told.append(pace)
+        if pace.waiting in shown:
+            shown[pace.waiting].set()
+
+    def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
+        if observation["step"] < 2:
+            shown[other if observation["step"] else first].wait(50)
+        connection.send(pack({"actions": np.zeros((1, 2), np.float32)}))
+
+    setup = campaign.setup.model_copy(update={"act_timeout_s": 60.0, "load_timeout_s": 70.0})
+    with policy_server(answer) as address:
+        remote = dataclasses.replace(
+            campaign, policies=("act",), references={"act": address}, variants=(Variant.ORIGINAL,), setup=setup
+        )
+        endpoint = free_endpoint()
+        with (
+            WorkerThread(settings_for(endpoint, tmp_path, eval_command=EVALUATE)),
+            open_store(tmp_path / "out", remote) as store,
+        ):
+            assert run_fleet(remote, drives.meta.plan, store, FleetAccess((endpoint,)), threading.Event(), tell)
+            assert [row.end for row in store.results("act")] == ["timeout"] * 2
+    assert [(pace.policy, pace.waiting) for pace in told if pace.waiting] == [("act", first), ("act", other)]
 
 
 def test_an_evaluation_without_a_running_collection_reports_it(

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from websockets.sync.server import ServerConnection, serve
+from websockets.sync.server import ServerConnection
 
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerUnreachable
@@ -22,6 +19,7 @@ from factory.eval.policies.made_from import GREETING, greeting_now
 from factory.eval.policies.registry import make_policy
 from factory.eval.policies.remote import RemotePolicy, WireError, pack, unpack
 from schemas.errors import UsageError
+from tests.builders.policy_server import policy_server
 
 EXAMPLES = Path(__file__).parent.parent.parent / "docs" / "evaluation"
 INFO = EpisodeInfo("ep_000001", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
@@ -33,26 +31,6 @@ VIEW = PolicyInput(
     step=0,
 )
 QUICK = PolicyLimits(act_timeout_s=0.5, load_timeout_s=2.0, reconnect_s=0.3)
-Answer = Callable[[ServerConnection, dict[str, Any]], None]
-
-
-@contextmanager
-def server(answer: Answer, greeting: bytes | str = pack({"name": "test"})) -> Iterator[str]:
-    """Runs a websocket server on loopback that calls `answer` with the connection and each observation."""
-
-    def handle(connection: ServerConnection) -> None:
-        connection.send(greeting)
-        for message in connection:
-            answer(connection, unpack(message))
-
-    with serve(handle, "127.0.0.1", 0, compression=None, max_size=None) as running:
-        thread = threading.Thread(target=running.serve_forever)
-        thread.start()
-        try:
-            yield f"ws://127.0.0.1:{running.socket.getsockname()[1]}"
-        finally:
-            running.shutdown()
-            thread.join()
 
 
 def begin(address: str, limits: PolicyLimits = QUICK) -> RemotePolicy:
@@ -69,7 +47,7 @@ def test_a_server_receives_the_observation_and_its_answer_is_returned() -> None:
         seen.append(observation)
         connection.send(pack({"actions": np.array([[0.5, 0.1], [0.4, 0.0]], np.float32)}))
 
-    with server(answer) as address:
+    with policy_server(answer) as address:
         policy = begin(address)
         actions = policy.act(VIEW)["actions"]
         policy.close()
@@ -88,7 +66,7 @@ def test_a_server_receives_the_observation_and_its_answer_is_returned() -> None:
 
 
 def test_an_error_of_the_server_is_a_policy_failure_with_its_message() -> None:
-    with server(lambda connection, _: connection.send("Traceback ...\nValueError: no key rgb")) as address:
+    with policy_server(lambda connection, _: connection.send("Traceback ...\nValueError: no key rgb")) as address:
         policy = begin(address)
         with pytest.raises(PolicyFailure, match="ValueError: no key rgb") as caught:
             policy.act(VIEW)
@@ -97,7 +75,7 @@ def test_an_error_of_the_server_is_a_policy_failure_with_its_message() -> None:
 
 
 def test_malformed_bytes_are_an_invalid_answer() -> None:
-    with server(lambda connection, _: connection.send(b"\xc1")) as address:
+    with policy_server(lambda connection, _: connection.send(b"\xc1")) as address:
         policy = begin(address)
         with pytest.raises(PolicyFailure, match="not a valid msgpack message") as caught:
             policy.act(VIEW)
@@ -114,7 +92,7 @@ def test_a_late_answer_is_a_hang_and_is_never_used_for_the_next_request() -> Non
             time.sleep(0.8)
         connection.send(pack({"actions": np.array([0.1 * len(calls), 0.0])}))
 
-    with server(answer) as address:
+    with policy_server(answer) as address:
         policy = begin(address)
         policy.act(VIEW)
         with pytest.raises(PolicyFailure, match=r"within 0.5 s") as caught:
@@ -135,7 +113,7 @@ def test_a_closed_connection_is_reopened_for_the_next_episode() -> None:
         else:
             connection.send(pack({"actions": np.zeros(2)}))
 
-    with server(answer) as address:
+    with policy_server(answer) as address:
         policy = begin(address)
         with pytest.raises(PolicyFailure, match="closed the connection") as caught:
             policy.act(VIEW)
@@ -157,7 +135,7 @@ def test_a_restarted_server_gets_the_long_timeout_for_its_first_answer() -> None
             time.sleep(0.3)
         connection.send(pack({"actions": np.full(2, 0.1 * len(calls))}))
 
-    with server(answer) as address:
+    with policy_server(answer) as address:
         policy = begin(address, PolicyLimits(act_timeout_s=0.1, load_timeout_s=120.0, reconnect_s=60.0))
         policy.act(VIEW)
         with pytest.raises(PolicyFailure):
@@ -168,7 +146,7 @@ def test_a_restarted_server_gets_the_long_timeout_for_its_first_answer() -> None
 
 
 def test_an_unreachable_server_is_not_a_policy_failure() -> None:
-    with server(lambda connection, _: connection.close()) as address:
+    with policy_server(lambda connection, _: connection.close()) as address:
         policy = begin(address)
         with pytest.raises(PolicyFailure):
             policy.act(VIEW)
@@ -180,7 +158,7 @@ def test_an_unreachable_server_is_not_a_policy_failure() -> None:
 
 def test_an_endpoint_without_a_policy_server_is_reported_immediately() -> None:
     with (
-        server(lambda _c, _o: None, greeting="hello") as address,
+        policy_server(lambda _c, _o: None, greeting="hello") as address,
         pytest.raises(UsageError, match="not an openpi policy server"),
     ):
         begin(address)
@@ -258,8 +236,10 @@ def test_the_greeting_of_a_server_is_read_without_an_observation_and_differs_wit
 
     found = []
     for version in (1, 1, 2):
-        with server(answer, pack({"name": "test", "version": version})) as address:
+        with policy_server(answer, pack({"name": "test", "version": version})) as address:
             found.append(greeting_now(address))
     assert found[0] == found[1] != found[2]
     assert set(found[0]) == {GREETING}
     assert greeting_now("ws://127.0.0.1:9") == {}
+    with policy_server(answer, greeting=None) as address:
+        assert greeting_now(address) == {}

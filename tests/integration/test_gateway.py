@@ -21,6 +21,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
+from schemas.protocol.administration import AdminAction, AdminRequest
 from schemas.terms import FailReason
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
@@ -122,6 +123,19 @@ def test_bundles_delivered_through_a_gateway_are_archived_only_there(site):
     assert site.core.progress().attempts == {"success": EPISODES}
     assert gateway.is_alive()
     assert gateway.troubles() == ()
+
+
+def test_a_gateway_learns_that_the_run_is_finished_and_that_jobs_are_queued_again(site):
+    gateway = site.open_gateway("gw1")
+    deliver_and_record(site.open_worker(gateway.endpoints), site, EPISODES - 1)
+    assert not site.core.is_finished()
+    assert not gateway.is_finished
+    cancelled = site.core.administer(AdminRequest(action=AdminAction.CANCEL)).changed
+    until(site.core.is_finished)
+    until(lambda: gateway.is_finished)
+    site.core.administer(AdminRequest(action=AdminAction.RETRY, indices=cancelled))
+    assert not site.core.is_finished()
+    until(lambda: not gateway.is_finished)
 
 
 def test_workers_connected_to_the_coordinator_deliver_to_it(site):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
 import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -20,13 +22,14 @@ from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from factory.eval.models.messages import EvalSetup, PolicyLimits
 from factory.eval.models.result import Variant
+from factory.eval.models.spec import write_specs
 from factory.eval.policies.registry import find_policy, make_policy
 from factory.eval.process.local_campaign import run_campaign
 from factory.eval.results.publish import evaluation_of
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset, splits_of
 from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, is_better, train_bc
-from factory.train.checkpoint import read_checkpoint
+from factory.train.checkpoint import POLICY, read_checkpoint
 from factory.train.curve import write_curve
 from factory.train.measures import EpochMeasures, TrainReport
 from factory.train.options import BcOptions
@@ -279,6 +282,52 @@ def test_an_evaluation_counts_the_episodes_that_the_policy_was_trained_on(
     assert policy.training is not None
     assert (policy.training.trained_on, policy.training.episodes) == (1, 2)
     assert policy.training.train_digest == dataset.filter(episode=seen).digest
+
+
+@needs_torch
+def test_a_replaced_checkpoint_never_continues_the_results_of_the_former_one(
+    recordings: dict[Recording, Path], tmp_path: Path
+) -> None:
+    dataset, out, checkpoint = Dataset(recordings[Recording.FRAMES]), tmp_path / "results", tmp_path / "bc" / POLICY
+    specs = specs_of_dataset(dataset, splits_of(dataset, ()))
+    task = specs.settings.task.model_copy(update={"max_steps": 3})
+    write_specs(
+        specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})}), tmp_path / "specs"
+    )
+    for seed in (0, 1):
+        train(dataset.root, tmp_path / str(seed), options(epochs=1, seed=seed))
+    hashes = [hashlib.sha256((tmp_path / str(seed) / POLICY).read_bytes()).hexdigest() for seed in (0, 1)]
+    rows, former = out / "policies" / "mine" / "episodes.jsonl", out / "former" / "mine-1"
+
+    def evaluate(seed: int, *more: str) -> subprocess.CompletedProcess[str]:
+        checkpoint.parent.mkdir(exist_ok=True)
+        shutil.copyfile(tmp_path / str(seed) / POLICY, checkpoint)
+        words = [dataset.root, "--policy", f"mine=bc:{checkpoint.parent}", "-o", out, "--workers", "1"]
+        command = [sys.executable, "-m", "factory", "eval", *words, "--specs", tmp_path / "specs", "--videos", "0"]
+        return subprocess.run([*command, *more], capture_output=True, text=True, check=False)
+
+    def made_from() -> str:
+        (policy,) = json.loads((out / "results.json").read_text())["policies"]
+        return str(policy["made_from"][POLICY])
+
+    first = evaluate(0)
+    assert (first.returncode, made_from()) == (0, hashes[0]), first.stderr
+    whole = rows.read_bytes()
+    assert len(whole.splitlines()) == 2
+    for kept in (whole, whole.splitlines(keepends=True)[0]):  # finished, and interrupted after the first episode
+        rows.write_bytes(kept)
+        refused = evaluate(1)
+        assert refused.returncode == 2
+        assert f"{POLICY}: {hashes[0][:12]}, now {hashes[1][:12]}" in refused.stderr
+        assert "--restart" in refused.stderr
+        assert (rows.read_bytes(), former.exists()) == (kept, False)
+    assert evaluate(0).returncode == 0
+    assert made_from() == hashes[0]
+    restarted = evaluate(1, "--restart")
+    assert (restarted.returncode, made_from()) == (0, hashes[1]), restarted.stderr
+    assert len((former / "episodes.jsonl").read_bytes().splitlines()) == len(rows.read_bytes().splitlines()) == 2
+    assert (former / "episodes.jsonl").read_bytes() != rows.read_bytes()
+    assert str(former) in restarted.stderr
 
 
 def epoch_of(number: int, val_loss: float | None) -> EpochMeasures:

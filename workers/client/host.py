@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from schemas.protocol.messages import Lease, LeaseProgress, RunKind
+from schemas.protocol.messages import Lease, LeaseProgress, PolicyWait, RunKind
 from workers.client.link import Link
 from workers.client.scene_cache import SceneCache
 from workers.client.settings import CheckBundle, WorkerSettings
@@ -87,36 +87,36 @@ class LeaseBook:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._steps: dict[Lease, int] = {}
+        self._live: dict[Lease, LeaseProgress] = {}
         self._lost: set[Lease] = set()
 
     @contextmanager
     def held(self, lease: Lease) -> Iterator[None]:
         """Includes the lease in every heartbeat during the block."""
         with self._lock:
-            self._steps[lease] = 0
+            self._live[lease] = LeaseProgress(lease=lease, step=0)
         try:
             yield
         finally:
             with self._lock:
-                self._steps.pop(lease, None)
+                self._live.pop(lease, None)
                 self._lost.discard(lease)
 
-    def note_step(self, lease: Lease, step: int) -> None:
-        """Records the number of simulated steps for the next heartbeat."""
+    def note_progress(self, lease: Lease, step: int, waits: PolicyWait | None) -> None:
+        """Records the number of simulated steps and a long wait for a policy for the next heartbeat."""
         with self._lock:
-            if lease in self._steps:
-                self._steps[lease] = step
+            if lease in self._live:
+                self._live[lease] = LeaseProgress(lease=lease, step=step, waits=waits)
 
     def live(self) -> tuple[LeaseProgress, ...]:
         """Returns all leases with their progress, for the next heartbeat."""
         with self._lock:
-            return tuple(LeaseProgress(lease=lease, step=step) for lease, step in self._steps.items())
+            return tuple(self._live.values())
 
     def lose(self, leases: Iterable[Lease]) -> None:
         """Marks leases as lost; ignores leases that are not in simulation."""
         with self._lock:
-            self._lost |= set(leases) & self._steps.keys()
+            self._lost |= set(leases) & self._live.keys()
 
     def is_lost(self, lease: Lease) -> bool:
         """Returns whether a lease in simulation is lost, so its result would be refused."""

@@ -211,7 +211,7 @@ class Slot:
             self._check(lease)
             if report is not None:
                 step = report.step
-                host.leases.note_step(lease, step)
+                host.leases.note_progress(lease, step, report.waits)
 
     def _fetching(self, lease: Lease) -> tuple[Fetch, Wait]:
         """Returns the functions `fetch` and `wait` for the scene cache.

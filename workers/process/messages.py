@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from schemas.base import Bytes, Count, Line, Model, NonNegative, Sha256
 from schemas.job import Job
-from schemas.protocol.messages import MAX_DETAIL_CHARS, BuildOrder, Detail, States
+from schemas.protocol.messages import MAX_DETAIL_CHARS, BuildOrder, Detail, PolicyWait, States
 from schemas.terms import FailReason
 
 
@@ -60,6 +60,8 @@ class SimulationReport(Model):
     """Type of the report."""
     step: Count = 0
     """Number of steps of the attempt."""
+    waits: PolicyWait | None = None
+    """Long wait for the policy of an evaluation, in the report `progress`."""
     reason: FailReason | None = None
     """Reason of a failure."""
     detail: Detail = ""

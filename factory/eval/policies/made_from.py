@@ -28,7 +28,7 @@ _SHOWN = 12
 """Hexadecimal digits of a hash in messages."""
 _NAMED = 4
 _PATIENCE_S = 2.0
-"""Time for connecting to a server whose episodes are finished, seconds."""
+"""Time for connecting to a server that has results already, and for its greeting, seconds."""
 
 Hashes = dict[str, str]
 """Name of a file (as in the policy's folder), or `GREETING` -> SHA-256."""
@@ -82,7 +82,7 @@ def hashes_now(former: Mapping[str, str], folder: Path | None) -> Hashes:
 def greeting_now(address: str) -> Hashes:
     """Returns the hash of the greeting of a server; empty if the server cannot be reached."""
     try:
-        policy = RemotePolicy(address, PolicyLimits(reconnect_s=_PATIENCE_S))
+        policy = RemotePolicy(address, PolicyLimits(reconnect_s=_PATIENCE_S, load_timeout_s=_PATIENCE_S))
     except ServerUnreachable:
         return {}
     try:

@@ -17,12 +17,14 @@ from factory.eval.models.messages import (
     EvalReportKind,
     EvalSetup,
     EvalTask,
+    PolicyLimits,
     read_report,
     to_line,
 )
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies.registry import is_user_class, renders_apart
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
+from schemas.protocol.messages import PolicyWait
 from schemas.support.child import SAFE_PATH, child_environment, python_module
 from schemas.support.child_process import ChildProcess, Ended
 from workers.process.one_core import one_core
@@ -41,19 +43,15 @@ _LEAVE_S = 2.0
 _MOST_OUTPUT_CHARS = 300
 
 
-class Waiting(NamedTuple):
-    """Wait of a driver process for its policy."""
+_LONG_WAIT_S = 2.0
+"""Time after which a wait for a policy is shown, seconds."""
 
-    is_first: bool
-    """Whether it waits for the creation, a reset or the first answer, otherwise for another answer."""
-    seconds: float
-    limit_s: float
 
-    @property
-    def description(self) -> str:
-        if self.is_first:
-            return f"waiting for loading, reset or first answer, at most {self.limit_s:g} s (--load-timeout)"
-        return f"waiting for an answer, at most {self.limit_s:g} s (--act-timeout)"
+def describe_wait(wait: PolicyWait, limits: PolicyLimits) -> str:
+    """Returns what a policy is waited for, and for how long at most."""
+    if wait is PolicyWait.FIRST:
+        return f"waiting for loading, reset or first answer, at most {limits.load_timeout_s:g} s (--load-timeout)"
+    return f"waiting for an answer, at most {limits.act_timeout_s:g} s (--act-timeout)"
 
 
 class DriverEnded(NamedTuple):
@@ -85,16 +83,13 @@ class DriverProcess:
         """Description of the renderer; empty until the process reports it."""
 
     @property
-    def waiting(self) -> Waiting | None:
-        """What the process waits for, if it waits for the policy; `None` otherwise."""
+    def long_wait(self) -> PolicyWait | None:
+        """What the process waits for, if it has waited for the policy for more than two seconds; `None` otherwise."""
         if self._status is None or self.current is None:
             return None
-        state, setup = self._status.read(), self.current.setup
-        if state.busy not in {Activity.MAKING, Activity.ASKING}:
-            return None
-        is_first = state.busy is Activity.MAKING
-        limit_s = setup.load_timeout_s if is_first else setup.act_timeout_s
-        return Waiting(is_first, time.monotonic() - state.since_s, limit_s)
+        state = self._status.read()
+        wait = {Activity.MAKING: PolicyWait.FIRST, Activity.ASKING: PolicyWait.ANSWER}.get(state.busy)
+        return wait if time.monotonic() - state.since_s > _LONG_WAIT_S else None
 
     @property
     def pid(self) -> int | None:

@@ -16,15 +16,14 @@ from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind
 from factory.eval.models.result import REAL, EpisodeResult
 from factory.eval.policies.made_from import another_policy
 from factory.eval.policies.registry import note_of, renders_apart
-from factory.eval.process.driver_process import DriverEnded, DriverProcess, interrupted_result
+from factory.eval.process.driver_process import DriverEnded, DriverProcess, describe_wait, interrupted_result
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, tasks_for, with_actions
 from factory.eval.specs.from_dataset import LoadedScenes
 from schemas.errors import UsageError, WorldError
+from schemas.protocol.messages import PolicyWait
 
 _POLL_S = 0.05
-_LONG_WAIT_S = 2.0
-"""Time after which a wait for a policy is shown, seconds."""
 _TRIES = 2
 """Number of attempts at an episode in which the driver process dies outside of policy calls. After the last one, the
 campaign stops with an error."""
@@ -107,8 +106,7 @@ class _PolicyCampaign:
         self._drivers, self._stop, self._tell = drivers, stop, tell
         self._deaths: dict[int, int] = {}
         self._driven: Counter[DriverProcess] = Counter()
-        self._shown_waits: set[bool] = set()
-        """Kinds of waits that were shown (`Waiting.is_first`)."""
+        self._shown_waits: set[PolicyWait] = set()
         self._checked: dict[DriverProcess, dict[str, str]] = {}
         """Hashes of the policy that each process reported last, which agree with the stored ones."""
         self._repeatable: tuple[EvalTask, EpisodeResult] | None = None
@@ -137,10 +135,10 @@ class _PolicyCampaign:
     def _long_wait(self) -> str:
         """Returns the description of a wait that became long, each kind once; empty without one."""
         for driver in self._drivers:
-            waiting = driver.waiting
-            if waiting is not None and waiting.seconds > _LONG_WAIT_S and waiting.is_first not in self._shown_waits:
-                self._shown_waits.add(waiting.is_first)
-                return waiting.description
+            wait = driver.long_wait
+            if wait is not None and wait not in self._shown_waits:
+                self._shown_waits.add(wait)
+                return describe_wait(wait, self._campaign.setup)
         return ""
 
     def _poll_drivers(self, waiting: deque[EvalTask]) -> Iterator[EpisodeResult]:

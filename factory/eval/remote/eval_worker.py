@@ -90,7 +90,8 @@ class _EvalWorker:
                 return outcome
             if time.monotonic() - last_report_s > _TELL_S:
                 last_report_s = time.monotonic()
-                self.tell(worker.SimulationReport(kind=worker.SimulationReportKind.PROGRESS, step=driver.steps))
+                kind = worker.SimulationReportKind.PROGRESS
+                self.tell(worker.SimulationReport(kind=kind, step=driver.steps, waits=driver.long_wait))
 
 
 def _result(

@@ -8,6 +8,8 @@ Design: docs/design/evaluation.md#a-distributed-evaluation-is-a-separate-run.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import queue
 import shutil
 import threading
 from collections.abc import Callable, Mapping
@@ -30,6 +32,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.eval.models.messages import EvalTask
 from factory.eval.policies.made_from import another_policy
+from factory.eval.process.driver_process import describe_wait
 from factory.eval.process.local_campaign import Pace
 from factory.eval.remote.results import ResultValidator, read_result_bundle
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
@@ -39,7 +42,7 @@ from schemas.dataset.rows import file_name_of
 from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
-from schemas.protocol.messages import EvalPayload
+from schemas.protocol.messages import EvalPayload, PolicyWait
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
@@ -100,7 +103,8 @@ def run_fleet(
         return EvalPayload(task=task.model_dump_json(), attachment=attachment)
 
     planned = tuple(map(planned_of, intake.left.values()))
-    evaluation = EvalJobs(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
+    files = {attachment.sha256: path for attachment, path in attached.values()}
+    evaluation = EvalJobs(planned, find, files, intake.note_wait)
     if access.connect:
         _require_coordinator(access)
     _try_failed_again(root)
@@ -127,6 +131,7 @@ def _take_results(coordinator: Coordinator, intake: ResultCollector, root: Path,
     """Stores results until all episodes are finished or `stop` is set; returns whether all are finished."""
     while not stop.is_set():
         is_over = coordinator.wait(_POLL_S, stop)
+        intake.tell_waits()
         intake.take(root)
         if is_over:
             coordinator.wait_for_workers_to_disconnect(stop)
@@ -192,8 +197,23 @@ class ResultCollector:
             for index, task in tasks.items()
             if task.request.key in kept[task.policy]
         }
+        self._waits: queue.SimpleQueue[tuple[int, PolicyWait]] = queue.SimpleQueue()
+        self._shown_waits: set[tuple[str, PolicyWait]] = set()
         for policy in policies:
             self._tell(self._pace(policy))
+
+    def note_wait(self, index: int, wait: PolicyWait) -> None:
+        """Records that a worker waits long for the policy of a task; called in another thread."""
+        self._waits.put((index, wait))
+
+    def tell_waits(self) -> None:
+        """Reports the waits that were recorded since the last call, each kind once for each policy."""
+        while not self._waits.empty():
+            index, wait = self._waits.get()
+            task = self._tasks.get(index)
+            if task is not None and (task.policy, wait) not in self._shown_waits:
+                self._shown_waits.add((task.policy, wait))
+                self._tell(dataclasses.replace(self._pace(task.policy), waiting=describe_wait(wait, task.setup)))
 
     @property
     def left(self) -> Mapping[int, EvalTask]:

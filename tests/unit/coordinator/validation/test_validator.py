@@ -128,6 +128,20 @@ def test_a_child_that_cannot_start_is_a_machine_error_and_not_a_bundle_error(bun
         validator.check(bundle, job_for())
 
 
+def test_a_child_that_a_batch_system_ends_during_its_start_is_not_blamed_on_the_memory(bundle: Path) -> None:
+    before = child_processes()
+    with Validator() as validator, ThreadPoolExecutor(1) as pool:
+        checking = pool.submit(validator.check, bundle, job_for())
+        while not (started := child_processes() - before):
+            time.sleep(0.001)
+        for child in started:
+            os.kill(child, signal.SIGTERM)  # as scancel does; the child imports for longer than a millisecond
+        error = checking.exception()
+    assert isinstance(error, TransientError)
+    assert "a signal from outside, such as that of a batch system, ended the validating process" in str(error)
+    assert "memory" not in str(error)
+
+
 def test_a_closed_validator_raises_an_error(bundle: Path) -> None:
     validator = Validator()
     validator.close()

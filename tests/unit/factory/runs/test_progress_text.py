@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
+from io import StringIO
 
 import pytest
+from rich.console import Console
 
 from coordinator.expansion.plan_file import load_plan
 from factory.runs.progress_text import draw_progress, watch_progress
@@ -88,6 +90,18 @@ def test_the_progress_bar_of_a_run_does_not_count_returned_jobs() -> None:
     bar = RunBar(load_plan("demo"))
     bar.show(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
     assert bar.tasks[0].fields["note"].endswith("0 failed attempts")
+
+
+def test_the_progress_bar_shows_nothing_before_the_progress_and_then_the_episodes_of_the_shard() -> None:
+    text = StringIO()
+    bar = RunBar(load_plan("demo"), console=Console(file=text, width=80))  # 24 episodes
+    with bar:
+        pass
+    assert text.getvalue().strip() == ""
+    bar.show(progress(1).model_copy(update={"planned": 8}))
+    with bar:
+        pass
+    assert "1/8" in text.getvalue()
 
 
 def test_status_and_progress_bar_count_built_layouts(capsys: pytest.CaptureFixture[str]) -> None:

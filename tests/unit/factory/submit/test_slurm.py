@@ -79,6 +79,28 @@ def test_a_worker_task_keeps_its_spool_only_for_a_requeue(job, tmp_path, number,
     assert (tmp_path / "told").exists() == is_requeued
 
 
+@pytest.mark.parametrize(("status", "is_requeued"), [(130, True), (0, False), (1, False)])
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGTERM])
+def test_a_coordinator_task_is_requeued_and_keeps_its_ledger_only_if_the_run_is_unfinished(
+    job, tmp_path, number, status, is_requeued
+):
+    tool(tmp_path, "scontrol", f'echo "$@" > "{tmp_path}/told"')
+    ledger = "${MINIVLA_CACHE}/ledger-${SLURM_ARRAY_TASK_ID}.db"
+    body = (
+        f'[ "$1" = keys ] && exit 0; touch "{ledger}"; trap "exit {status}" TERM; echo up; while :; do sleep 0.05; done'
+    )
+    stub = tool(tmp_path, "waiting", body)
+    coordinator, _ = write_scripts(replace(job, factory=(str(stub),), has_local_ledgers=True), "workers")
+    with subprocess.Popen(["bash", coordinator], env=environment(tmp_path), stdout=subprocess.PIPE, text=True) as task:
+        assert task.stdout is not None
+        assert task.stdout.readline() == "up\n"
+        task.send_signal(number)
+        is_warned = number == signal.SIGUSR1
+        assert task.wait(60) == (0 if is_requeued and is_warned else status)
+    assert (tmp_path / "told").exists() == (is_requeued and is_warned)
+    assert bool([*(tmp_path / "local").glob("*/ledger-2.db")]) == (status != 0)
+
+
 def test_the_second_job_waits_for_the_first(job, tmp_path, monkeypatch):
     tool(tmp_path, "sbatch", f'echo "$@" >> "{tmp_path}/submitted"; echo "41;cluster"')
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")

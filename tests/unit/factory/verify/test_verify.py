@@ -18,6 +18,7 @@ from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
 from factory.verify.dataset import Kind, VerifyReport, verify
+from factory.verify.findings import print_report
 from schemas.dataset.rows import EpisodeSummary
 from schemas.errors import WorldError
 from tests.builders.bundle import job_for, parts_for
@@ -154,11 +155,18 @@ def test_damaged_table_is_found(data: Path, name: str, damage: bytes | None, kin
     assert kinds(verify(data)) == [(kind, name)]
 
 
-def test_unreadable_metadata_is_one_finding(data: Path) -> None:
+def test_unreadable_metadata_is_one_finding_and_no_digest_is_printed(
+    data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (data / "metadata.parquet").write_bytes(b"PAR1")
-    (finding,) = verify(data).findings
+    report = verify(data)
+    (finding,) = report.findings
     assert finding.kind is Kind.DAMAGED
     assert "metadata.parquet is damaged" in finding.text
+    print_report(report)
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.endswith("the tables cannot be read, so the number of episodes and the digest are unknown")
+    assert "None" not in last
 
 
 def test_missing_or_changed_scene_is_found(data: Path) -> None:

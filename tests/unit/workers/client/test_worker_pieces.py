@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from schemas.protocol.keys import sid_belongs_to
-from schemas.protocol.messages import Hello, Lease
+from schemas.protocol.messages import Hello, Lease, LeaseProgress, PolicyWait
 from workers.client.host import Backoff, LeaseBook, Phase, make_sid, valid_host_name
 from workers.client.settings import WorkerSettings
 
@@ -41,8 +41,10 @@ def test_session_id_is_fresh_and_belongs_to_its_host():
 def test_lease_is_live_while_it_is_held():
     book = LeaseBook()
     with book.held(LEASE):
-        book.note_step(LEASE, 7)
-        assert [(item.lease, item.step) for item in book.live()] == [(LEASE, 7)]
+        book.note_progress(LEASE, 7, PolicyWait.ANSWER)
+        assert book.live() == (LeaseProgress(lease=LEASE, step=7, waits=PolicyWait.ANSWER),)
+        book.note_progress(LEASE, 8, None)
+        assert book.live() == (LeaseProgress(lease=LEASE, step=8),)
     assert not book.live()
 
 
