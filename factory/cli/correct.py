@@ -35,7 +35,7 @@ _FAILURES = 24
 @click.command("correct")
 @dataset_argument
 @click.option(
-    "--policy", required=True, metavar="POLICY", help="Policy to correct: bc:OUT, module:Class, ws://HOST:PORT."
+    "--policy", required=True, metavar="POLICY", help="Policy to correct: bc:OUT, module:Class or ws://HOST:PORT."
 )
 @write_option("DIR", "Directory of the corrections, a dataset of states. The same command continues it.", required=True)
 @count_option("--episodes", None, "Number of episodes. Default: half of the training episodes of DIR.")
@@ -71,14 +71,15 @@ def command(
     as_json: bool,
     verbose: bool,
 ) -> int:
-    """Record corrections of a policy on the training scenes of a dataset.
+    """Record the planner's corrections of a policy that drives.
 
-    The policy drives from new starts. Every tenth of a second, the planner's action at that pose is recorded as a
-    label; the planner takes over before a collision and after a stop in the wrong place, and ends every episode at its
-    target. `factory train bc DIR --corrections OUT` trains on both. Exits with 1 if episodes are missing.
+    The policy drives on the training scenes of DIR, from new starts. Every tenth of a second, the planner's action at
+    that pose is recorded as a label; the planner takes over before a collision and after a stop in the wrong place, and
+    ends every episode at its target. `factory train bc DIR --correction OUT` trains on both. Exits with 1 if episodes
+    are missing.
     """
     from factory.correct.driver import check_corrected
-    from factory.correct.order import correction_plan, describe_policy
+    from factory.correct.round import correction_plan, describe_policy
     from factory.dataset.reader import Dataset
     from factory.dataset.site import site_of
     from factory.support.logs import configure_logs
@@ -191,12 +192,12 @@ def _require_a_policy_that_drives(progress: Progress) -> None:
 
 
 def _print_end(site: Site, progress: Progress, source: Path, as_json: bool) -> int:
-    from factory.correct.summary import describe_corrections
+    from factory.correct.round import describe_corrections
     from factory.runs.summary import print_missing, summarise
     from factory.support.terminal import print_result, print_text
 
     summary: dict[str, Any] = summarise(site.place, progress) | describe_corrections(site.place)
-    summary["next"] = f"factory train bc {quoted(source)} --corrections {quoted(site.place)} -o OUT"
+    summary["next"] = f"factory train bc {quoted(source)} --correction {quoted(site.place)} -o OUT"
 
     def show(it: dict[str, Any]) -> None:
         print_text(f"corrections {it['dataset']}: {it['episodes']} of {it['planned']} episodes, {it['steps']} steps")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -27,7 +27,7 @@ from schemas.terms import Split
 if TYPE_CHECKING:
     from factory.dataset.reader import Dataset
     from factory.train.measures import TrainReport
-    from factory.train.options import Head, StopRule
+    from factory.train.options import BcOptions, Head, StopRule
     from schemas.storage.place import Place
 
 
@@ -66,7 +66,8 @@ def command() -> None:
     help="Output head. continuous: linear and angular velocity; tokens: tokens of the action grid.",
 )
 @click.option(
-    "--corrections",
+    "--correction",
+    "corrections",
     type=PLACE,
     multiple=True,
     metavar="DIR|URL",
@@ -160,32 +161,26 @@ def bc(
     \b
     Then:  factory eval DIR --split test_id --policy bc:OUT
     """
-    from pydantic import ValidationError
-
     from factory.dataset.reader import Dataset
     from factory.support.logs import configure_logs
     from factory.train.behaviour_cloning import TrainCallbacks, TrainOrder, train_bc
     from factory.train.measures import TrainBar
-    from factory.train.options import BcOptions
     from workers.client.stopping import stop_on_signals
 
     configure_logs()
-    try:
-        options = BcOptions(
-            head=head,
-            ablate_language=ablate_language,
-            positions=positions,
-            stops=stops,
-            epochs=epochs,
-            seed=seed,
-            size=int(size),
-            antialias=antialias,
-            batch=batch,
-            peak_rate=rate,
-            mask_weight=mask_weight,
-        )
-    except ValidationError as error:
-        raise UsageError(f"{error.errors()[0]['loc'][0]}: {error.errors()[0]['msg']}") from error
+    options = _options(
+        head=head,
+        ablate_language=ablate_language,
+        positions=positions,
+        stops=stops,
+        epochs=epochs,
+        seed=seed,
+        size=int(size),
+        antialias=antialias,
+        batch=batch,
+        peak_rate=rate,
+        mask_weight=mask_weight,
+    )
     columns = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
     dataset = Dataset(root, appearance=appearance).filter(**columns)
     order = TrainOrder(
@@ -207,14 +202,25 @@ def bc(
     return 0
 
 
+def _options(**values: Any) -> BcOptions:
+    from pydantic import ValidationError
+
+    from factory.train.options import BcOptions
+
+    try:
+        return BcOptions(**values)
+    except ValidationError as error:
+        raise UsageError(f"{error.errors()[0]['loc'][0]}: {error.errors()[0]['msg']}") from error
+
+
 def _corrections_in(place: Place, appearance: str | None) -> Dataset:
     from factory.dataset.reader import Dataset
 
     dataset = Dataset(place, appearance=appearance)
     if dataset.meta.plan.correction is None:
-        raise UsageError(f"--corrections {place}: plan {dataset.meta.plan.name} is not one of `factory correct`")
+        raise UsageError(f"--correction {place}: plan {dataset.meta.plan.name} is not one of `factory correct`")
     if not len(dataset):
-        raise UsageError(f"--corrections {place} has no episodes; `factory correct` with the same options continues it")
+        raise UsageError(f"--correction {place} has no episodes; `factory correct` with the same options continues it")
     return dataset
 
 

@@ -79,7 +79,7 @@ def command(
     from coordinator.protocol.tls import read_credentials
     from coordinator.validation.validator import Validator
     from factory.correct.driver import check_corrected
-    from factory.correct.order import simulation_of
+    from factory.correct.round import simulation_of
     from factory.scenes.requirements import can_build
     from factory.support.listen import require_endpoints
     from factory.support.logs import configure_logs

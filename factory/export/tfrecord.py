@@ -120,7 +120,7 @@ def read_examples(path: Path, names: Collection[str], limit_bytes: int) -> Itera
         limit_bytes: largest size of a wanted feature, bytes.
 
     Raises:
-        ValueError: the file is no TFRecord file of examples, or damaged, or a wanted feature is too large.
+        ValueError: the file is not a TFRecord file of examples, or damaged, or a wanted feature is too large.
     """
     with path.open("rb") as file:
         total = os.fstat(file.fileno()).st_size
@@ -147,7 +147,7 @@ class _Message:
             tag, size = self.file.read(1)[0], self._number()
             content = _Message(self.file, self.path, self.file.tell() + size)
             if content.end > self.end or tag not in (_FIRST, _SECOND, _THIRD):
-                raise ValueError(f"{self.path} has a record that is no tf.train.Example, at byte {at}")
+                raise ValueError(f"{self.path} has a record that is not a tf.train.Example, at byte {at}")
             yield tag, content
             self.file.seek(content.end)
 
@@ -167,7 +167,7 @@ class _Message:
             value |= (byte[0] & 0x7F) << shift
             if byte[0] < 0x80:
                 return value
-        raise ValueError(f"{self.path} has a record that is no tf.train.Example")
+        raise ValueError(f"{self.path} has a record that is not a tf.train.Example")
 
 
 def _short_features(example: _Message, names: Collection[str], limit_bytes: int) -> Iterator[tuple[str, bytes]]:

@@ -164,7 +164,7 @@ def _require_same_data(checkpoint: Checkpoint, meta: CheckpointMeta, out: Path) 
     if (then.train_digest, then.words, then.appearance) != (meta.train_digest, meta.words, meta.appearance):
         raise UsageError(
             f"{out} contains a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): "
-            "give the same dataset, --corrections, --split, --scene, --tier and --appearance to continue it, or choose "
+            "give the same dataset, --correction, --split, --scene, --tier and --appearance to continue it, or choose "
             "another --out"
         )
 

@@ -21,8 +21,8 @@ from factory.train.options import StopRule
 from schemas.base import Model, Positive, Sha256
 from schemas.bundle import Corrections
 from schemas.errors import UsageError
+from schemas.measure import StopLabel, stop_labels
 from schemas.plan import canonical_json
-from schemas.stop_label import StopLabel, stop_labels
 
 _TAIL_STEPS, _TAIL_STRIDE = 30, 2
 """Length and stride of the denser sampling at the end of an episode, steps. The stop takes about half a second."""

@@ -141,6 +141,7 @@ def test_the_planner_takes_over_where_the_policy_stands_still_in_the_wrong_place
             assert longest <= 0.8 * 60 + 12, "0.8 s, one label period, and braking"
 
 
+@pytest.mark.slow
 def test_a_round_is_valid_and_can_be_exported_and_rendered(folder: Path) -> None:
     assert run(folder, "verify", "round", "--deep").returncode == 0
     rendered = run(folder, "render", "round", "-o", "frames", "--workers", "2")
@@ -153,6 +154,7 @@ def test_a_round_is_valid_and_can_be_exported_and_rendered(folder: Path) -> None
             assert np.array_equal(one.corrections.drivers, other.corrections.drivers)
 
 
+@pytest.mark.slow
 def test_an_interrupted_round_has_the_digest_of_an_undisturbed_one(folder: Path) -> None:
     command = [sys.executable, "-P", "-m", "factory", *corrected(folder, "wandering:Wanders", "again")]
     for _ in range(2):
@@ -171,6 +173,7 @@ def test_an_interrupted_round_has_the_digest_of_an_undisturbed_one(folder: Path)
     assert Dataset(folder / "again").digest == Dataset(folder / "round").digest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("policy", "reason"),
     [

@@ -36,7 +36,7 @@ from workers.sim.aim import (
 )
 from workers.sim.appearance import show_appearance
 from workers.sim.context import LoadedScene, SimulationContext
-from workers.sim.correct import CorrectedPolicy, PolicyError, begin_correction
+from workers.sim.correct import PolicyError, begin_correction
 from workers.sim.recording import LoadedSurroundings, add_frames, add_measurements, add_sampled_digests
 from workers.sim.rollout import Drive, drive
 from workers.sim.spawn import draw_poses, is_spawn_stable
@@ -152,14 +152,9 @@ def _drive_and_seal(
     start = world.pose()
     context.timer("start")
     try:
-        if job.correction is not None:
-            words = job.instruction if aim.instruction is None else aim.instruction.text
-            expert = begin_correction(job, expert, context.driver, scene.grid, words)
-        rollout = drive(job, target, world, context.renderer, expert, attempt.on_step, context.timer)
+        rollout = _drive(attempt, world, expert)
     except PolicyError as error:
         return AttemptFailure(FailReason.POLICY, str(error), 0)
-    if isinstance(expert, CorrectedPolicy):
-        rollout = replace(rollout, arrays=replace(rollout.arrays, corrections=expert.corrections()))
     poses = rollout.arrays.poses
     if rollout.end_reason is not EndReason.SUCCESS:
         if rollout.steps_visible == 0 and not job.is_false_premise:
@@ -201,6 +196,23 @@ def _drive_and_seal(
     sealed = writer.finish(rollout.arrays, meta)
     context.timer("bundle")
     return Success(sealed)
+
+
+def _drive(attempt: _Attempt, world: World, expert: Expert) -> Drive:
+    """Drives from the robot's current pose: the expert or, in an episode with corrections, the policy of this process.
+
+    Raises:
+        PolicyError: the policy failed.
+    """
+    aim, context = attempt.aim, attempt.context
+    job, controller, policy = aim.job, expert, None
+    if job.correction is not None:
+        words = job.instruction if aim.instruction is None else aim.instruction.text
+        controller = policy = begin_correction(job, expert, context.driver, attempt.scene.grid, words)
+    rollout = drive(job, aim.target, world, context.renderer, controller, attempt.on_step, context.timer)
+    if policy is None:
+        return rollout
+    return replace(rollout, arrays=replace(rollout.arrays, corrections=policy.corrections()))
 
 
 def _nothing_seen(start: Pose, steps: int) -> AttemptFailure:

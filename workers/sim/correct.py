@@ -122,7 +122,7 @@ class CorrectedPolicy:
         return self._planner.begin(start, grid, target)
 
     def act(self, seen: ExpertObservation) -> Twist:
-        """Returns the desired twist of whoever acts in this step, and records the label of the planner.
+        """Returns the desired twist of this step's driver, and records the label of the planner.
 
         Raises:
             PolicyError: the policy failed.

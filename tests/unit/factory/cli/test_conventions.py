@@ -44,6 +44,8 @@ SYNONYMS = {
 DIFFERENT = {
     ("factory gate", "--scene"): "measures one scene",
     ("factory train bc", "--split"): "learns from one split",
+    ("factory correct", "--policy"): "corrects one policy",
+    ("factory worker", "--policy"): "drives with one policy",
     ("factory keys ca", "--name"): "has a default",
     ("factory bench collect", "--expert"): "compares several experts",
     ("factory bench collect", "--record"): "compares both recordings",

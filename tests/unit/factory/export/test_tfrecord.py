@@ -84,8 +84,8 @@ def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
         (b"nothing" * 9, "is not a TFRecord file, or damaged"),
         (data[:5], "is not a TFRecord file, or damaged"),
         (data[:-5], "ends within a record"),
-        (data[:12] + b"\x08" + data[13:], "has a record that is no tf.train.Example"),
-        (data[:13] + b"\xff" * 10 + data[23:], "has a record that is no tf.train.Example"),
+        (data[:12] + b"\x08" + data[13:], "has a record that is not a tf.train.Example"),
+        (data[:13] + b"\xff" * 10 + data[23:], "has a record that is not a tf.train.Example"),
     ):
         file.write_bytes(content)
         with pytest.raises(ValueError, match=said):

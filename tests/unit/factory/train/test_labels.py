@@ -16,7 +16,7 @@ from factory.train.frames import (
 )
 from schemas.bundle import Corrections
 from schemas.config import RobotConfig
-from schemas.stop_label import StopLabel
+from schemas.measure import StopLabel
 
 HZ, BRAKING = 60, RobotConfig().max_braking_mps2
 
@@ -78,7 +78,7 @@ def test_stops_by_success_replace_those_of_the_expert() -> None:
     labels = label_episode(actions, frames, stop=83, hold=6, when=when)
     assert labels.is_stop.tolist() == [False, False, False, False, True]
     assert labels.has_stop.tolist() == [True, True, False, False, True]
-    assert labels.has_twist.tolist() == [True, True, True, False, False], "the twist of a braking expert is no label"
+    assert labels.has_twist.tolist() == [True, True, True, False, False], "a braking expert gives no label"
     assert not labels.actions[4].any()
 
 

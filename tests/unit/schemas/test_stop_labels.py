@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.stop_label import SURE_M, StopLabel, stop_labels
+from schemas.measure import SURE_M, StopLabel, stop_labels
 from schemas.terms import Split
 from tests.builders.bundle import parts_for
 

@@ -1,4 +1,4 @@
-"""Plan of a round of corrections, and the command lines of its processes. Runs nothing but the description of a policy.
+"""Round of corrections: its plan, the command lines of its processes, and counts of its steps. Simulates nothing.
 
 Episodes of a round are on the training split of the plan of a dataset, from other starts.
 """
@@ -7,16 +7,22 @@ from __future__ import annotations
 
 import os
 import subprocess
+from typing import Any
 
+import numpy as np
+
+from factory.dataset.reader import Dataset
 from schemas.config import CorrectionConfig, DemonstrationConfig
 from schemas.errors import UsageError, WorldError
 from schemas.layouts import unseen_layouts
 from schemas.plan import Budget, Plan
 from schemas.scene_plan import ScenePlan
+from schemas.storage.place import Place
+from schemas.support.apportion import apportion
 from schemas.support.child import child_environment, python_module
-from schemas.terms import ExpertName, Recording, Split
+from schemas.terms import Driver, ExpertName, Recording, Split
 
-_BUDGET = Budget(attempts_per_draw=2, draws=6)
+_BUDGET = Budget(attempts_per_draw=2, draws=3)
 """A policy that fails in every episode fails in a few attempts; the limits of a plan would repeat it 240 times."""
 _SEED_STRIDE = 1_000_003
 """Difference of the seeds of two rounds, so their starts are independent."""
@@ -69,8 +75,6 @@ def _only_training(scene: ScenePlan, plan: Plan) -> ScenePlan:
 
 
 def _with_episodes(plan: Plan, weights: list[float], episodes: int) -> Plan:
-    from schemas.support.apportion import apportion
-
     shares = {str(number): weight / sum(weights) for number, weight in enumerate(weights)}
     counts = apportion(shares, episodes)
     scenes = []
@@ -113,3 +117,20 @@ def describe_policy(policy: str, act_timeout_s: float, load_timeout_s: float) ->
     if made.returncode:
         raise WorldError(f"policy {policy} cannot be created: {last}")
     return made.stdout.strip().splitlines()[-1]
+
+
+def describe_corrections(root: Place) -> dict[str, Any]:
+    """Returns the number of steps, labels and takeovers of a dataset of corrections, and the shares of the drivers."""
+    by, labels, takeovers = np.zeros(len(Driver), int), 0, 0
+    for episode in Dataset(root):
+        with episode:
+            corrections = episode.corrections
+        if corrections is None:
+            continue
+        drivers = corrections.drivers
+        by += np.bincount(drivers, minlength=len(Driver))
+        labels += int(np.isfinite(corrections.expert_actions).all(axis=1).sum())
+        takeovers += int(((drivers[1:] == Driver.EXPERT) & (drivers[:-1] == Driver.POLICY)).sum())
+    steps = int(by.sum())
+    shares = {driver.name.lower(): float(by[driver]) / max(1, steps) for driver in Driver}
+    return {"steps": steps, "driven_by": shares, "labels": labels, "takeovers": takeovers}
