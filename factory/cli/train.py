@@ -183,16 +183,8 @@ def bc(
     )
     columns = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
     dataset = Dataset(root, appearance=appearance).filter(**columns)
-    order = TrainOrder(
-        dataset,
-        out,
-        options,
-        Split(split),
-        device=device,
-        minutes=minutes,
-        corrections=tuple(_corrections_in(place, appearance) for place in corrections),
-        memory_bytes=int(memory * 1e9),
-    )
+    added = tuple(_corrections_in(place, appearance) for place in corrections)
+    order = TrainOrder(dataset, out, options, Split(split), device, minutes, added, int(memory * 1e9))
     with stop_on_signals() as (stop, _), TrainBar(epochs) as bar:
         report = train_bc(order, TrainCallbacks(bar.caching, bar.learning, bar.measured, stop.is_set))
     _show(report, Dataset(root), out, as_json)

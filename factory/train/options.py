@@ -50,8 +50,8 @@ class BcOptions(Model):
     positions: Annotated[bool, Field(exclude_if=lambda it: not it)] = False
     """Whether the features that locate the target include their position in the image; the key is omitted if false."""
     stops: Annotated[StopRule, Field(exclude_if=lambda it: it == "braking")] = "braking"
-    """Stop labels of demonstrations. `success`: where a stop succeeds (`schemas.measure.stop_labels`); `braking`, the only
-    rule of the first versions: from the frame on in which the expert brakes. The key is omitted for `braking`."""
+    """Stop labels of demonstrations. `success`: where a stop succeeds (`schemas.measure.stop_labels`); `braking`, the
+    only rule of the first versions: from the frame on in which the expert brakes. The key is omitted for `braking`."""
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     size: int = 128
