@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from factory.dataset.reader import Dataset, Episode
@@ -172,6 +173,15 @@ def test_a_policy_that_hangs_fails_its_episodes_with_a_reason_and_the_round_ends
     assert done.returncode == 1, done.stdout + done.stderr
     listed = run(folder, "jobs", "list", "hung")
     assert "policy_hung: act exceeded 1 s" in " ".join(listed.stdout.split()), listed.stdout
+
+
+@pytest.mark.slow
+def test_an_export_to_lerobot_says_in_which_frames_the_planner_acted(folder: Path) -> None:
+    done = run(folder, "export", "round", "--to", "lerobot", "--fps", "10", "-o", "lerobot")
+    assert done.returncode == 0, done.stderr
+    table = pq.read_table(next((folder / "lerobot" / "data").rglob("*.parquet")))
+    drivers = [episode.corrections.drivers[::6] for episode in Dataset(folder / "round") if episode.corrections]
+    assert table["intervention"].to_pylist() == (np.concatenate(drivers) == Driver.EXPERT).tolist()
 
 
 def test_another_policy_and_a_policy_with_nothing_to_correct_are_refused(folder: Path) -> None:

@@ -237,7 +237,7 @@ def describe_dataset(export: Finish[Any, LeRobotFacts]) -> LeRobotExport:
     return LeRobotExport(
         out=export.out,
         meta=export.dataset.meta,
-        layout=layout_of(plan.camera, export.dataset.rig),
+        layout=layout_of(plan.camera, export.dataset.rig, is_corrected=plan.correction is not None),
         extra=extra_layout_of(options, plan.camera, export.dataset.rig),
         rig=export.dataset.rig,
         stride=stride,

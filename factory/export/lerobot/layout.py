@@ -14,7 +14,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from factory.export.lerobot.columns import ACTION_NAMES, DONE, POSE_NAMES, REWARD, SUCCESS, TOKEN_NAMES
+from factory.export.lerobot.columns import (
+    ACTION_NAMES,
+    DONE,
+    INTERVENTION,
+    POSE_NAMES,
+    REWARD,
+    SUCCESS,
+    TOKEN_NAMES,
+)
 from factory.export.options import LeRobotOptions
 from factory.export.rig.description import FRONT, recorded_rig
 from schemas.config import CameraConfig
@@ -107,14 +115,21 @@ class Layout:
         return tuple(image for image in self.images if not image.is_video)
 
 
-def layout_of(recorded: CameraConfig, rig: Rig | None) -> Layout:
+def layout_of(recorded: CameraConfig, rig: Rig | None, *, is_corrected: bool = False) -> Layout:
     """Returns the layout of the dataset, with the colour images of the recorded camera or the sensors of a rig.
+
+    Args:
+        recorded: recorded camera.
+        rig: rig of the export; `None` for the recorded camera.
+        is_corrected: whether the episodes have corrections; a column then says in which frames the planner acted.
 
     Raises:
         UsageError: two sensors of the rig have the same feature, or width or height of a video is odd.
     """
     images = _images_of(recorded, rig, (CameraOutput.RGB,))
     columns = [*_COLUMNS.items()] if rig is None else [*_columns_of(rig)]
+    if is_corrected:
+        columns.insert([name for name, _ in columns].index(DONE) + 1, (INTERVENTION, Column("bool")))
     place = [name for name, _ in columns].index("pose") + 1
     return _checked(Layout(images, dict(columns)), [*columns[:place], *_cameras_of(recorded, rig), *columns[place:]])
 

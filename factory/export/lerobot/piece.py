@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts
-from factory.export.lerobot.columns import frame_columns, kept_frames, outcome_columns
+from factory.export.lerobot.columns import INTERVENTION, frame_columns, kept_frames, outcome_columns
 from factory.export.lerobot.features import LARGEST_CODE, DepthCode, data_schema
 from factory.export.lerobot.layout import CAMERA_POSE, STATE, ImageFeature, Layout, extra_layout_of, layout_of
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
@@ -29,7 +29,7 @@ from factory.export.rig.reader import SensorReader, shown_rig
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
 from schemas.encoding.png import encode_png
 from schemas.rig import CameraOutput, Lidar2d, Lidar3d
-from schemas.terms import EndReason
+from schemas.terms import Driver, EndReason
 from workers.sensors import ImuMeasurements
 
 
@@ -106,7 +106,9 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
     hz = meta.job.task.control_hz
     stride = stride_of(options.fps, hz)
     extra = extra_layout_of(options, meta.job.camera, episode.rig)
-    layouts = [layout_of(meta.job.camera, episode.rig), *([] if extra is None else [extra])]
+    corrections = episode.corrections
+    main = layout_of(meta.job.camera, episode.rig, is_corrected=corrections is not None)
+    layouts = [main, *([] if extra is None else [extra])]
     reader = SensorReader(episode) if episode.rig else None
     kept = kept_frames(len(episode), stride)
     features = [image for layout in layouts for image in layout.images]
@@ -114,6 +116,8 @@ def write_piece(episode: Episode, options: LeRobotOptions, folder: Path) -> LeRo
     columns = frame_columns(episode.actions, episode.poses, hz, stride)
     origins = np.array([origin_of(episode).to_json(), *[""] * (len(kept) - 1)], dtype=object)
     outcome = outcome_columns(len(kept), is_success=meta.rollout.end_reason is EndReason.SUCCESS)
+    if corrections is not None:
+        outcome[INTERVENTION] = corrections.drivers[np.asarray(kept)] == Driver.EXPERT
     for layout in layouts:
         values: dict[str, NDArray[Any]] = {STATE: columns.state, ORIGIN: origins, **outcome}
         values |= {name: getattr(columns, name) for name in layout.columns if hasattr(columns, name)}
