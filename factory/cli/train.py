@@ -19,6 +19,7 @@ from factory.cli.options import (
     tier_filter,
     write_option,
 )
+from factory.cli.rounds import rounds
 from factory.train.input_size import SIZES
 from schemas.errors import UsageError
 from schemas.support.shell import quoted
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 @click.group("train", cls=CommandGroup)
 def command() -> None:
     """Train baseline policies. Requires the extra `train`."""
+
+
+command.add_command(rounds)
 
 
 @command.command("bc")

@@ -21,7 +21,7 @@ POSE_NAMES = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 REWARD, SUCCESS, DONE = "next.reward", "next.success", "next.done"
 """Names of the columns of the outcome, as in LeRobot (`lerobot.utils.constants`)."""
 INTERVENTION = "intervention"
-"""Name of the column of frames in which the planner acted instead of the policy, as LeRobot's DAgger strategy writes it."""
+"""Name of the column of frames in which the planner acted, not the policy, as LeRobot's DAgger strategy writes it."""
 
 
 @dataclass(frozen=True)

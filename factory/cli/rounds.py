@@ -1,0 +1,148 @@
+"""`factory train rounds`: trains a policy, records corrections, and trains again: commands one after the other."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+
+from factory.cli.options import count_option, dataset_argument, workers_option, write_option
+from factory.train.input_size import SIZES
+from schemas.errors import UsageError, WorldError
+from schemas.support.child import child_environment, python_module
+from schemas.support.shell import quoted
+from schemas.terms import Split
+
+_STOPPED = 130
+
+
+class Step(NamedTuple):
+    """One command of the rounds."""
+
+    title: str
+    arguments: tuple[str, ...]
+    """Arguments of `factory`."""
+
+
+@click.command("rounds")
+@dataset_argument
+@write_option("DIR", "Output directory. The same command continues the rounds.", required=True)
+@count_option("--rounds", 3, "Number of rounds of corrections.", most=100)
+@count_option("--episodes", None, "Episodes of each round. Default: half of the training episodes of DIR.")
+@count_option("--epochs", 30, "Number of epochs of each training.", most=10_000)
+@click.option(
+    "--size",
+    type=click.Choice([str(size) for size in SIZES]),
+    default="128",
+    show_default=True,
+    metavar="N",
+    help=f"Width and height of the input image, pixels: {', '.join(map(str, SIZES))}.",
+)
+@count_option(
+    "--antialias", None, "Samples per pixel of rendered frames, along each axis. Default: 640 / SIZE.", most=10
+)
+@count_option("--seed", 0, "Random seed of each training.", least=0, most=2**32 - 1)
+@click.option(
+    "--split",
+    type=click.Choice([str(split) for split in Split]),
+    metavar="SPLIT",
+    default=str(Split.VAL_ID),
+    show_default=True,
+    help="Split on which the policy of each round is evaluated.",
+)
+@count_option("--evaluations", 100, "Number of evaluation episodes of each policy; 0 evaluates none.", least=0)
+@workers_option("Number of simulation processes")
+def rounds(
+    root: Path,
+    out: Path,
+    rounds: int,
+    episodes: int | None,
+    epochs: int,
+    size: str,
+    antialias: int | None,
+    seed: int,
+    split: str,
+    evaluations: int,
+    workers: int | None,
+) -> int:
+    """Train a policy in rounds: train, correct, train on both, and so on.
+
+    OUT gets policy_0 (demonstrations only), corrections_1, policy_1, and so on, and `evaluation` with all policies.
+    Each step is a command of `factory`, which is printed; the same command continues after an interruption.
+
+    \b
+    Then:  open OUT/evaluation/index.html
+    """
+    processes = () if workers is None else ("--workers", str(workers))
+    training: tuple[str, ...] = ("--epochs", str(epochs), "--size", size, "--seed", str(seed))
+    training += () if antialias is None else ("--antialias", str(antialias))
+    correcting = processes if episodes is None else ("--episodes", str(episodes), *processes)
+    evaluating = () if not evaluations else ("--split", split, "--episodes", str(evaluations), *processes)
+    for step in steps_of(root, out, rounds, training, correcting, evaluating):
+        click.echo(f"\n{step.title}: factory {' '.join(map(quoted, step.arguments))}", err=True)
+        status = _run(step.arguments)
+        if status == _STOPPED:
+            click.echo(f"interrupted; the same command continues with {step.title}", err=True)
+            return _STOPPED
+        if status == 2:
+            raise UsageError(f"{step.title} was refused; the message is above")
+        # a round with missing episodes is as useful as its number of episodes
+        if status and not (status == 1 and step.arguments[0] == "correct"):
+            raise WorldError(f"{step.title} ended with exit status {status}; the message is above")
+    if evaluating:
+        click.echo(f"page:    {out / 'evaluation' / 'index.html'}")
+    return 0
+
+
+def steps_of(
+    root: Path,
+    out: Path,
+    rounds: int,
+    training: tuple[str, ...],
+    correcting: tuple[str, ...],
+    evaluating: tuple[str, ...],
+) -> list[Step]:
+    """Returns the commands of all rounds, in order.
+
+    Args:
+        root: dataset of demonstrations.
+        out: output directory.
+        rounds: number of rounds of corrections.
+        training: options of each training.
+        correcting: options of each round of corrections.
+        evaluating: options of each evaluation; empty for none.
+    """
+    steps: list[Step] = []
+    corrections: tuple[str, ...] = ()
+    policies: tuple[str, ...] = ()
+    for number in range(rounds + 1):
+        if number:
+            place = str(out / f"corrections_{number}")
+            former = f"bc:{out / f'policy_{number - 1}'}"
+            options = ("--policy", former, "--round", str(number), "-o", place, *correcting)
+            steps.append(Step(f"corrections {number} of {rounds}", ("correct", str(root), *options)))
+            corrections += ("--correction", place)
+        policy = out / f"policy_{number}"
+        arguments = ("train", "bc", str(root), *corrections, *training, "-o", str(policy))
+        steps.append(Step(f"training {number} of {rounds}", arguments))
+        policies += ("--policy", f"round_{number}=bc:{policy}")
+        if evaluating:
+            arguments = ("eval", str(root), *evaluating, *policies, "-o", str(out / "evaluation"))
+            steps.append(Step(f"evaluation {number} of {rounds}", arguments))
+    return steps
+
+
+def _run(arguments: tuple[str, ...]) -> int:
+    """Runs a command and returns its exit status; a signal to this process ends the command first."""
+    with subprocess.Popen(python_module("factory", *arguments), env=child_environment(os.environ)) as process:
+        former = {number: signal.signal(number, lambda *_: None) for number in (signal.SIGINT, signal.SIGTERM)}
+        signal.signal(signal.SIGTERM, lambda *_: process.send_signal(signal.SIGTERM))
+        try:
+            return process.wait()
+        finally:
+            for number, handler in former.items():
+                signal.signal(number, handler)
