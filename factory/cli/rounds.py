@@ -20,7 +20,7 @@ from schemas.terms import Split
 _STOPPED = 130
 
 
-class Step(NamedTuple):
+class RoundStep(NamedTuple):
     """One command of the rounds."""
 
     title: str
@@ -105,7 +105,7 @@ def steps_of(
     training: tuple[str, ...],
     correcting: tuple[str, ...],
     evaluating: tuple[str, ...],
-) -> list[Step]:
+) -> list[RoundStep]:
     """Returns the commands of all rounds, in order.
 
     Args:
@@ -116,7 +116,7 @@ def steps_of(
         correcting: options of each round of corrections.
         evaluating: options of each evaluation; empty for none.
     """
-    steps: list[Step] = []
+    steps: list[RoundStep] = []
     corrections: tuple[str, ...] = ()
     policies: tuple[str, ...] = ()
     for number in range(rounds + 1):
@@ -124,15 +124,15 @@ def steps_of(
             place = str(out / f"corrections_{number}")
             former = f"bc:{out / f'policy_{number - 1}'}"
             options = ("--policy", former, "--round", str(number), "-o", place, *correcting)
-            steps.append(Step(f"corrections {number} of {rounds}", ("correct", str(root), *options)))
+            steps.append(RoundStep(f"corrections {number} of {rounds}", ("correct", str(root), *options)))
             corrections += ("--correction", place)
         policy = out / f"policy_{number}"
         arguments = ("train", "bc", str(root), *corrections, *training, "-o", str(policy))
-        steps.append(Step(f"training {number} of {rounds}", arguments))
+        steps.append(RoundStep(f"training {number} of {rounds}", arguments))
         policies += ("--policy", f"round_{number}=bc:{policy}")
         if evaluating:
             arguments = ("eval", str(root), *evaluating, *policies, "-o", str(out / "evaluation"))
-            steps.append(Step(f"evaluation {number} of {rounds}", arguments))
+            steps.append(RoundStep(f"evaluation {number} of {rounds}", arguments))
     return steps
 
 

@@ -44,6 +44,7 @@ SYNONYMS = {
 DIFFERENT = {
     ("factory gate", "--scene"): "measures one scene",
     ("factory train bc", "--split"): "learns from one split",
+    ("factory train rounds", "--split"): "evaluates on one split",
     ("factory correct", "--policy"): "corrects one policy",
     ("factory worker", "--policy"): "drives with one policy",
     ("factory keys ca", "--name"): "has a default",
