@@ -27,7 +27,7 @@ BUNDLE_FORMAT = 4
 """Newest version of the bundle format. Bundles of version 4 have corrections (`schemas.encoding.arrays`), those of
 version 3 have the measurements of a rig, those of version 2 have neither, and those of version 1 have float32 poses and
 frames only. A reader opens its own version and older ones, and rejects newer ones."""
-FORMAT_WITHOUT_RIG, FORMAT_WITH_RIG = 2, 3
+FORMAT_WITHOUT_RIG, BUNDLE_WITH_RIG = 2, 3
 """Versions of the bundles of demonstrations."""
 MAX_FRAMES = 1000
 """Largest number of steps of an episode."""
@@ -193,7 +193,7 @@ def format_of(job: Job) -> int:
     """Returns the version of the bundles of a job."""
     if job.correction is not None:
         return BUNDLE_FORMAT
-    return FORMAT_WITHOUT_RIG if job.view == ViewSettings() else FORMAT_WITH_RIG
+    return FORMAT_WITHOUT_RIG if job.view == ViewSettings() else BUNDLE_WITH_RIG
 
 
 def parse_meta(text: bytes) -> EpisodeMeta:

@@ -31,6 +31,9 @@ from schemas.terms import ExpertName, Recording, SuccessMeasure, family_of
 _MOST_ROUNDS = 5
 """Number of times that a plan is validated again without its wrong keys, to find further mistakes."""
 
+_SET_BY_COMMANDS = {"correction": "factory correct", "extends": "factory run --extend"}
+"""Keys that no file may set -> the command that sets them."""
+
 
 def plan_to_toml(plan: Plan) -> str:
     """Returns the plan as TOML. Values that equal their default are omitted, except shares and success measure."""
@@ -63,10 +66,11 @@ def load_plan(reference: str, success: SuccessMeasure = SuccessMeasure.SURFACE) 
     if not path.is_file():
         raise UsageError(_absent_message(reference, path))
     data = read_toml(path, "plan", InvalidPlan)
-    if "extends" in data:
-        raise InvalidPlan(
-            f"{path} is not a valid plan", ["extends: only `factory run --extend` sets this key; remove it"]
-        )
+    foreign = [
+        f"{key}: only `{setter}` sets this key; remove it" for key, setter in _SET_BY_COMMANDS.items() if key in data
+    ]
+    if foreign:
+        raise InvalidPlan(f"{path} is not a valid plan", foreign)
     data.setdefault("name", _name_from(path))
     task = data.setdefault("task", {})
     if isinstance(task, dict):

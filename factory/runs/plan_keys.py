@@ -27,7 +27,7 @@ _IN_A_FILE = {"name": '"FILE"', "task.success": '"surface"'}
 """Defaults of a plan file that differ from those of the model."""
 _ELSEWHERE = ("rig", "appearance")
 """Keys whose tables have their own documents."""
-_NOT_IN_FILES = frozenset({"extends"})
+_NOT_IN_FILES = frozenset({"correction", "extends"})
 """Keys that a plan file cannot have."""
 
 STARTER = """\

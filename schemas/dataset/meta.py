@@ -24,8 +24,8 @@ from schemas.support.shell import quoted
 from schemas.terms import Recording
 from schemas.view import ViewSettings
 
-_FORMAT_WITHOUT_RIG, FORMAT_WITH_RIG, FORMAT_WITH_SOURCES = 1, 2, 3
-DATASET_FORMAT = FORMAT_WITH_SOURCES
+_FORMAT_WITHOUT_RIG, FORMAT_WITH_RIG, FORMAT_WITH_SOURCES, _FORMAT_WITH_CORRECTIONS = 1, 2, 3, 4
+DATASET_FORMAT = _FORMAT_WITH_CORRECTIONS
 """Newest version of the dataset directory: in version 3, the dataset has sources; in version 2, the plan has a rig or
 an appearance; in version 1, neither. A reader opens its own version and older ones, and rejects newer ones."""
 _MAX_SOURCES = 1000
@@ -179,13 +179,19 @@ def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
 def fields_of_plan(plan: Plan) -> dict[str, Any]:
     """Returns the fields of a description that depend on the plan only."""
     return {
-        "format": _FORMAT_WITHOUT_RIG if plan.view == ViewSettings() else FORMAT_WITH_RIG,
+        "format": _format_of(plan),
         "run": plan.run,
         "plan_digest": plan.digest,
         "seed": plan.seed,
         "plan": plan,
         "rig_digest": None if plan.rig is None else plan.rig.digest,
     }
+
+
+def _format_of(plan: Plan) -> int:
+    if plan.correction is not None:
+        return _FORMAT_WITH_CORRECTIONS
+    return _FORMAT_WITHOUT_RIG if plan.view == ViewSettings() else FORMAT_WITH_RIG
 
 
 def read_dataset_meta(root: Place) -> DatasetMeta:

@@ -21,7 +21,7 @@ from factory.verify.dataset import verify
 from factory.verify.rendering import RenderDifference, compare_rendered
 from schemas.dataset.meta import FORMAT_WITH_RIG, described_by
 from schemas.encoding.container import ContainerWriter
-from schemas.episode import BUNDLE_FORMAT
+from schemas.episode import BUNDLE_WITH_RIG
 from schemas.errors import InvalidRig, UsageError
 from schemas.rig.rig_file import load_rig
 from schemas.storage.dataset_files import META_FILE
@@ -97,7 +97,7 @@ def test_rig_and_its_digest_are_described(rigged: Path) -> None:
     assert (dataset.meta.format, dataset.meta.rig_digest) == (FORMAT_WITH_RIG, rig.digest)
     meta = dataset[0].meta
     assert (meta.format, meta.job.view.rig, list(meta.sensor_digests)) == (
-        BUNDLE_FORMAT,
+        BUNDLE_WITH_RIG,
         rig,
         [sensor.name for sensor in rig.sensors],
     )

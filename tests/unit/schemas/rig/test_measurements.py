@@ -12,7 +12,7 @@ import pytest
 from schemas.bundle import BundleReader
 from schemas.encoding.arrays import ArraySpec
 from schemas.encoding.container import ContainerWriter
-from schemas.episode import FORMAT_WITH_RIG, FORMAT_WITHOUT_RIG
+from schemas.episode import BUNDLE_WITH_RIG, FORMAT_WITHOUT_RIG
 from schemas.errors import InvalidBundle
 from schemas.rig import Imu, Lidar2d, Mount, PinholeCamera, Rig, WheelOdometry
 from schemas.rig.arrays import MAX_MEASURED_IMAGES, arrays_of, rig_faults
@@ -53,7 +53,7 @@ def without(data: bytes, *names: str) -> bytes:
 
 def test_every_array_of_every_sensor_is_read_back_as_written() -> None:
     with BundleReader(io.BytesIO(rigged_parts().write())) as bundle:
-        assert (bundle.has_sensors, bundle.has_frames, bundle.meta.format) == (True, True, FORMAT_WITH_RIG)
+        assert (bundle.has_sensors, bundle.has_frames, bundle.meta.format) == (True, True, BUNDLE_WITH_RIG)
         for sensor in RIG.sensors:
             for t, specs in measurements_of(sensor, bundle.length, bundle.control_hz):
                 found, written = bundle.measurement(sensor, t), random_arrays(specs)
