@@ -133,8 +133,11 @@ class DatasetTables:
         episodes = self._episodes.write(archive, plan.episodes, content.episode_rows, changed[0])
         failures = self._failures.write(archive, plan.episodes, content.failure_rows, changed[1])
         complete = episodes.rows == plan.episodes
+        fields = fields_of_plan(plan)
+        if content.sources:
+            fields["format"] = max(fields["format"], FORMAT_WITH_SOURCES)
         meta = DatasetMeta(
-            **fields_of_plan(plan) | ({"format": FORMAT_WITH_SOURCES} if content.sources else {}),
+            **fields,
             episodes=episodes.rows,
             planned=plan.episodes,
             complete=complete,

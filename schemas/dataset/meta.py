@@ -26,8 +26,9 @@ from schemas.view import ViewSettings
 
 _FORMAT_WITHOUT_RIG, FORMAT_WITH_RIG, FORMAT_WITH_SOURCES, _FORMAT_WITH_CORRECTIONS = 1, 2, 3, 4
 DATASET_FORMAT = _FORMAT_WITH_CORRECTIONS
-"""Newest version of the dataset directory: in version 3, the dataset has sources; in version 2, the plan has a rig or
-an appearance; in version 1, neither. A reader opens its own version and older ones, and rejects newer ones."""
+"""Newest version of the dataset directory: in version 4, the plan has corrections; in version 3, the dataset has
+sources; in version 2, the plan has a rig or an appearance; in version 1, none of these. A reader opens its own version
+and older ones, and rejects newer ones."""
 _MAX_SOURCES = 1000
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
@@ -173,7 +174,8 @@ def described_as_frames(meta: DatasetMeta) -> DatasetMeta:
 
 def described_by(meta: DatasetMeta, plan: Plan) -> DatasetMeta:
     """Returns the description with its plan replaced by another plan of the same episodes."""
-    return meta.model_copy(update=fields_of_plan(plan) | ({"format": meta.format} if meta.sources else {}))
+    fields = fields_of_plan(plan)
+    return meta.model_copy(update=fields | ({"format": max(meta.format, fields["format"])} if meta.sources else {}))
 
 
 def fields_of_plan(plan: Plan) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from factory.dataset.reader import Dataset
 from factory.export.origin import find_origin
 from factory.merge.merge import merge, open_parts
 from factory.verify.dataset import verify
-from schemas.dataset.meta import DATASET_FORMAT, read_dataset_meta
+from schemas.dataset.meta import FORMAT_WITH_SOURCES, read_dataset_meta
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.storage.dataset_files import SOURCES_FILE
 from schemas.terms import Recording
@@ -45,7 +45,7 @@ def test_episodes_keep_their_bytes_and_rows_name_their_origin(two: tuple[Path, P
     assert digests(tmp_path / "c") == [*digests(two[0]), *digests(two[1])]
     data = Dataset(tmp_path / "c")
     assert data.column("episode_id").to_pylist() == [f"ep_{n:06d}" for n in range(1, 6)]
-    assert (data.meta.format, data.meta.complete, data.meta.planned) == (DATASET_FORMAT, True, 5)
+    assert (data.meta.format, data.meta.complete, data.meta.planned) == (FORMAT_WITH_SOURCES, True, 5)
     assert data.meta.dataset_digest == data.digest == report.digest
     rows = pq.read_table(tmp_path / "c" / "metadata.parquet").to_pylist()
     assert [(row["source"], row["source_episode"]) for row in rows] == [
