@@ -21,6 +21,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
 from factory.dataset.site import site_of
+from factory.eval.results.publish import pair_folder
 from factory.visualize.panels import show_depth, show_ids
 from factory.web.app import all_routes
 from factory.web.pages.farm import read_view
@@ -61,6 +62,7 @@ _FILES = (
         "/episodes/ep_000001/download/zip",
     ),
     *("/episodes/ep_000001/objects.json", "/scenes/{scene}/failures.svg", "/evaluations/results/films/0/ep_000001.jpg"),
+    "/evaluations/results/pairs/0/1/ep_000002.jpg",
 )
 """Files that pages load only after a click, or only for some datasets."""
 _WIDTHS_PX = (360, 1400, 3840)
@@ -151,6 +153,10 @@ def served(
     """The web page of a dataset with an evaluation; once for a dataset of frames and once for a dataset of states."""
     root: Path = data if request.param is Recording.FRAMES else recordings[request.param]
     results = write_evaluation(tmp_path_factory.mktemp("served") / "results", "ab")
+    films = pair_folder(results, "a", "b")
+    films.mkdir(parents=True)
+    for suffix in (".jpg", ".mp4"):
+        (films / f"ep_000002{suffix}").write_bytes(b"film of an episode that only one policy completed")
     with web_page(root, evaluations=(results,)) as client:
         yield client, Workspace(site_of(str(root)))
 
