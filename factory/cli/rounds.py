@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 
-from factory.cli.options import count_option, dataset_argument, workers_option, write_option
+from factory.cli.options import count_option, dataset_argument, json_option, workers_option, write_option
 from factory.train.input_size import SIZES
 from schemas.errors import UsageError, WorldError
 from schemas.support.child import child_environment, python_module
@@ -56,6 +57,7 @@ class RoundStep(NamedTuple):
 )
 @count_option("--evaluations", 100, "Number of evaluation episodes of each policy; 0 evaluates none.", least=0)
 @workers_option("Number of simulation processes")
+@json_option
 def rounds(
     root: Path,
     out: Path,
@@ -68,6 +70,7 @@ def rounds(
     split: str,
     evaluations: int,
     workers: int | None,
+    as_json: bool,
 ) -> int:
     """Train a policy in rounds: train, correct, train on both, and so on.
 
@@ -77,6 +80,8 @@ def rounds(
     \b
     Then:  open OUT/evaluation/index.html
     """
+    from factory.support.terminal import print_result
+
     processes = () if workers is None else ("--workers", str(workers))
     training: tuple[str, ...] = ("--epochs", str(epochs), "--size", size, "--seed", str(seed))
     training += () if antialias is None else ("--antialias", str(antialias))
@@ -84,7 +89,7 @@ def rounds(
     evaluating = () if not evaluations else ("--split", split, "--episodes", str(evaluations), *processes)
     for step in steps_of(root, out, rounds, training, correcting, evaluating):
         click.echo(f"\n{step.title}: factory {' '.join(map(quoted, step.arguments))}", err=True)
-        status = _run(step.arguments)
+        status = _run(step.arguments, as_json)
         if status == _STOPPED:
             click.echo(f"interrupted; the same command continues with {step.title}", err=True)
             return _STOPPED
@@ -93,8 +98,12 @@ def rounds(
         # a round with missing episodes is as useful as its number of episodes
         if status and not (status == 1 and step.arguments[0] == "correct"):
             raise WorldError(f"{step.title} ended with exit status {status}; the message is above")
-    if evaluating:
-        click.echo(f"page:    {out / 'evaluation' / 'index.html'}")
+    result = {
+        "policies": [str(out / f"policy_{number}") for number in range(rounds + 1)],
+        "corrections": [str(out / f"corrections_{number}") for number in range(1, rounds + 1)],
+        "page": str(out / "evaluation" / "index.html") if evaluating else None,
+    }
+    print_result(result, as_json, lambda it: click.echo(f"page:    {it['page']}") if it["page"] else None)
     return 0
 
 
@@ -136,9 +145,16 @@ def steps_of(
     return steps
 
 
-def _run(arguments: tuple[str, ...]) -> int:
-    """Runs a command and returns its exit status; a signal to this process ends the command first."""
-    with subprocess.Popen(python_module("factory", *arguments), env=child_environment(os.environ)) as process:
+def _run(arguments: tuple[str, ...], as_json: bool) -> int:
+    """Runs a command and returns its exit status; a signal to this process ends the command first.
+
+    Args:
+        arguments: arguments of `factory`.
+        as_json: whether its output goes to stderr, because stdout gets JSON.
+    """
+    out = sys.stderr if as_json else None
+    command, environment = python_module("factory", *arguments), child_environment(os.environ)
+    with subprocess.Popen(command, env=environment, stdout=out) as process:
         former = {number: signal.signal(number, lambda *_: None) for number in (signal.SIGINT, signal.SIGTERM)}
         signal.signal(signal.SIGTERM, lambda *_: process.send_signal(signal.SIGTERM))
         try:
