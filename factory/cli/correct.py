@@ -103,7 +103,8 @@ def command(
     _require_same_round(site, plan)
     limits = ("--policy", policy, "--act-timeout", str(act_timeout), "--load-timeout", str(load_timeout))
     again = f"factory correct {quoted(root)} --policy {quoted(policy)} -o {quoted(out)}"
-    progress = _run(plan, site, root, workers or usable_cores(), renderer, limits, again, verbose=verbose)
+    processes = workers or usable_cores()
+    progress = _run(plan, site, root, workers=processes, renderer=renderer, limits=limits, again=again, verbose=verbose)
     if progress is None or not progress.finished:
         click.echo(f"interrupted; continue with the same command: {again}", err=True)
         return 130

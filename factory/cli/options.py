@@ -17,6 +17,7 @@ from coordinator.defaults import MAX_PULLERS, pullers_for, usable_cores
 from factory.dataset.site import Site, dataset_directory, site_of
 from factory.runs.gate_mode import GATE_ATTEMPTS, MIN_EPISODES_FOR_GATE, MIN_SUCCESS, GateMode
 from factory.runs.plan_changes import PlanChanges
+from factory.train.input_size import SIZES
 from factory.web.http_options import HttpOptions
 from schemas.builtin import BUILTIN_APPEARANCES, BUILTIN_PLAN_NAMES, BUILTIN_RIGS, NO_APPEARANCE
 from schemas.storage.dataset_files import EPISODES, SCENES
@@ -372,6 +373,17 @@ def number_option(
     """Returns an option with a decimal value that shows its default, unless the default is `None`."""
     kind, shows = click.FloatRange(least, most), default is not None
     return click.option(flag, *names, type=kind, default=default, show_default=shows, metavar=metavar, help=text)
+
+
+input_size_option = click.option(
+    "--size",
+    type=click.Choice([str(size) for size in SIZES]),
+    default="128",
+    show_default=True,
+    metavar="N",
+    help=f"Width and height of the input image, pixels: {', '.join(map(str, SIZES))}.",
+)
+"""`--size N` of a training."""
 
 
 def policy_limit_options(command: Command) -> Command:

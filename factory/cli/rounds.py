@@ -11,8 +11,14 @@ from typing import NamedTuple
 
 import click
 
-from factory.cli.options import count_option, dataset_argument, json_option, workers_option, write_option
-from factory.train.input_size import SIZES
+from factory.cli.options import (
+    count_option,
+    dataset_argument,
+    input_size_option,
+    json_option,
+    workers_option,
+    write_option,
+)
 from schemas.errors import UsageError, WorldError
 from schemas.support.child import child_environment, python_module
 from schemas.support.shell import quoted
@@ -35,14 +41,7 @@ class RoundStep(NamedTuple):
 @count_option("--rounds", 3, "Number of rounds of corrections.", most=100)
 @count_option("--episodes", None, "Episodes of each round. Default: half of the training episodes of DIR.")
 @count_option("--epochs", 30, "Number of epochs of each training.", most=10_000)
-@click.option(
-    "--size",
-    type=click.Choice([str(size) for size in SIZES]),
-    default="128",
-    show_default=True,
-    metavar="N",
-    help=f"Width and height of the input image, pixels: {', '.join(map(str, SIZES))}.",
-)
+@input_size_option
 @count_option(
     "--antialias", None, "Samples per pixel of rendered frames, along each axis. Default: 640 / SIZE.", most=10
 )
@@ -87,7 +86,7 @@ def rounds(
     training += () if antialias is None else ("--antialias", str(antialias))
     correcting = processes if episodes is None else ("--episodes", str(episodes), *processes)
     evaluating = () if not evaluations else ("--split", split, "--episodes", str(evaluations), *processes)
-    for step in steps_of(root, out, rounds, training, correcting, evaluating):
+    for step in steps_of(root, out, rounds, training=training, correcting=correcting, evaluating=evaluating):
         click.echo(f"\n{step.title}: factory {' '.join(map(quoted, step.arguments))}", err=True)
         status = _run(step.arguments, as_json)
         if status == _STOPPED:

@@ -12,6 +12,7 @@ from factory.cli.options import (
     PLACE,
     appearance_option,
     count_option,
+    input_size_option,
     json_option,
     number_option,
     place_argument,
@@ -20,7 +21,6 @@ from factory.cli.options import (
     write_option,
 )
 from factory.cli.rounds import rounds
-from factory.train.input_size import SIZES
 from schemas.errors import UsageError
 from schemas.support.shell import quoted
 from schemas.terms import Split
@@ -91,14 +91,7 @@ command.add_command(rounds)
     is_flag=True,
     help="Add the image position to the features that locate the target, for instructions with left and right.",
 )
-@click.option(
-    "--size",
-    type=click.Choice([str(size) for size in SIZES]),
-    default="128",
-    show_default=True,
-    metavar="N",
-    help=f"Width and height of the input image, pixels: {', '.join(map(str, SIZES))}.",
-)
+@input_size_option
 @count_option(
     "--antialias",
     None,

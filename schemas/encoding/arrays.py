@@ -59,7 +59,7 @@ class ArraySpec:
         """Returns the violations of the bounds by an array whose shape and dtype were checked before."""
         has_bounds = self.low is not None or self.high is not None
         if has_bounds and self.may_be_nan:
-            array = array[~np.isnan(array).any(axis=-1)]  # a row without a value has no bounds
+            array = array[~np.isnan(array).all(axis=-1)]  # a row without a value has no bounds; half a row is a mistake
         is_free = array.dtype.kind != "f" or self.may_be_nan
         if array.size == 0 or (not has_bounds and (is_free or np.isfinite(array).all())):
             return []

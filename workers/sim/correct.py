@@ -73,21 +73,6 @@ class PolicyDriver(Protocol):
         """
 
 
-def require_driver(job: Job, driver: PolicyDriver | None) -> PolicyDriver:
-    """Returns the driver of this process.
-
-    Raises:
-        UsageError: it has none.
-    """
-    assert job.correction is not None
-    if driver is None:
-        raise UsageError(
-            f"{job.episode_id} was driven by policy {job.correction.policy}, which this command does not run; "
-            "`factory correct` does, and `factory worker --policy` on other hosts"
-        )
-    return driver
-
-
 class CorrectedPolicy:
     """Controller of one episode; implements `Expert`, after `begin` of the planner.
 
@@ -238,7 +223,12 @@ def begin_correction(
         PolicyError: the policy failed.
         UsageError: this process has no policy.
     """
+    assert job.correction is not None
     assert isinstance(expert, PlannerExpert), "the plan of corrections has no false premises"
-    policy = require_driver(job, driver)
-    policy.begin(job, instruction)
-    return CorrectedPolicy(job, expert, policy, grid)
+    if driver is None:
+        raise UsageError(
+            f"{job.episode_id} was driven by policy {job.correction.policy}, which this command does not run; "
+            "`factory correct` does, and `factory worker --policy` on other hosts"
+        )
+    driver.begin(job, instruction)
+    return CorrectedPolicy(job, expert, driver, grid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from schemas.encoding.arrays import ACTIONS_CONTINUOUS, ACTIONS_TOKENS, DEPTH_FRAME, POSES, ArraySpec
+from schemas.encoding.arrays import ACTIONS_CONTINUOUS, ACTIONS_TOKENS, DEPTH_FRAME, EXPERT_ACTIONS, POSES, ArraySpec
 
 GOOD = np.zeros((3, 2), np.float32)
 
@@ -47,3 +47,11 @@ def test_an_empty_array_has_no_value_violations() -> None:
 def test_depth_beyond_the_range_is_named_in_metres() -> None:
     depth = np.full(DEPTH_FRAME.shape, 31, np.float32)  # type: ignore[arg-type]
     assert DEPTH_FRAME.violations(depth) == ["depth_front: maximum 31.0 is above 30.0 m"]
+
+
+def test_a_row_without_a_value_is_valid_and_half_a_row_is_not() -> None:
+    labels = np.array([[0.5, 0.0], [np.nan, np.nan]], np.float32)
+    assert EXPERT_ACTIONS.violations(labels) == []
+    labels[1, 1] = 0.0
+    assert EXPERT_ACTIONS.violations(labels) == ["expert_actions: contains NaN or infinity"]
+    assert "maximum 2.0 is above" in EXPERT_ACTIONS.violations(np.array([[2.0, 0.0]], np.float32))[0]
