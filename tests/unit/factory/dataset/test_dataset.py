@@ -17,6 +17,7 @@ import factory
 from factory.dataset import parallel
 from factory.dataset.reader import Dataset, Episode
 from factory.dataset.torch import FrameDataset, collate
+from schemas.dataset.meta import DATASET_FORMAT
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import make_dataset
@@ -204,7 +205,7 @@ def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
 def test_the_error_of_a_newer_dataset_names_its_format(own: Path) -> None:
     path = own / "dataset_meta.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 9}))
-    with pytest.raises(WorldError, match="dataset format 9, this software reads up to 3: upgrade"):
+    with pytest.raises(WorldError, match=f"dataset format 9, this software reads up to {DATASET_FORMAT}: upgrade"):
         Dataset(own)
 
 
