@@ -5,6 +5,7 @@ A model receives camera images, the instruction and odometry only. This module r
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import StrEnum
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import Actions
-from factory.eval.models.result import TrainingNote
+from factory.eval.models.result import Attention, TrainingNote
 from factory.eval.models.spec import EvalSpec
 from factory.train.options import TrainingStarts
 from schemas.job import Job
@@ -63,7 +64,9 @@ class Policy(Protocol):
 
     The optional attribute `actions` is `"continuous"` (the default) or `"tokens"`. The optional attribute `needs` lists
     inputs without which the policy is refused: `"rgb"` and `"depth"` of the recorded camera, sensors of the rig such as
-    `"scan"`, or arrays of them such as `"scan/ranges"`.
+    `"scan"`, or arrays of them such as `"scan/ranges"`. The optional attribute `attention` states, after `act`, where
+    the policy located the named object: column and row as fractions of the image, 0..1 from the upper left corner, and
+    a confidence, 0..1; videos show it. `None` means nowhere.
     """
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
@@ -149,6 +152,27 @@ def was_trained_on(policy: Policy, spec: EvalSpec) -> bool | None:
     if not isinstance(starts, TrainingStarts):
         return None
     return starts.holds(spec.scene_sha256, spec.target_id, spec.spawn_pose)
+
+
+def attention_of(policy: Policy) -> Attention | None:
+    """Returns where a policy located the named object in its last image; `None` if it does not say.
+
+    Raises:
+        PolicyFailure: The attribute `attention` is not `None` and not three numbers from 0 to 1.
+    """
+    value = getattr(policy, "attention", None)
+    if value is None:
+        return None
+    try:
+        column, row, confidence = (round(float(part), 3) for part in value)
+    except (TypeError, ValueError):
+        column = row = confidence = math.nan
+    if not all(0 <= part <= 1 for part in (column, row, confidence)):
+        raise PolicyFailure(
+            PolicyFault.INVALID,
+            f"the attribute `attention` is {value!r:.80}; column, row and confidence from 0 to 1 are expected, or None",
+        )
+    return column, row, confidence
 
 
 def uses_camera(policy: Policy) -> bool:

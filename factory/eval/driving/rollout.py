@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -31,13 +31,14 @@ from factory.eval.driving.policy import (
     PrivilegedPolicy,
     PrivilegedState,
     ServerUnreachable,
+    attention_of,
     kind_of_actions,
     uses_camera,
     was_trained_on,
 )
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalRequest, EvalTask
-from factory.eval.models.result import REAL, EpisodeResult, EvalEnd
+from factory.eval.models.result import REAL, Attention, EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
 from schemas.frame import Frame
@@ -104,6 +105,8 @@ class _EpisodeRun:
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
+    attention: dict[int, Attention | None] = field(default_factory=dict)
+    """Attention of the policy by the step of its answer."""
     held: Twist = _REST
     """Last twist that the policy requested, which the robot keeps while the policy thinks."""
 
@@ -157,6 +160,7 @@ class _EpisodeRun:
         try:
             with self._policy_call(view):
                 answer = self.policy.act(observation)
+                self.attention[self.simulator.steps] = attention_of(self.policy)
         except PolicyFailure:
             if isinstance(observation, LazyInput) and observation.failure is not None:
                 raise observation.failure from None
@@ -241,13 +245,28 @@ def describe_error(error: BaseException) -> str:
 
 def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float, float, float], ...]:
     """Returns x, y, yaw of a (frames, 7) track, sampled at 10 Hz and at the last frame."""
-    every = max(1, round(control_hz / TRACK_HZ))
-    rows = [*range(0, len(track) - 1, every), len(track) - 1]
+    rows = _track_steps(len(track), control_hz)
     yaws = yaws_of(track[rows])
     return tuple(
         (round(float(x), 3), round(float(y), 3), round(float(yaw), 3))
         for (x, y), yaw in zip(track[rows, :2], yaws, strict=True)
     )
+
+
+def _track_steps(frames: int, control_hz: int) -> list[int]:
+    every = max(1, round(control_hz / TRACK_HZ))
+    return [*range(0, frames - 1, every), frames - 1]
+
+
+def _thin_attention(
+    attention: Mapping[int, Attention | None], frames: int, control_hz: int
+) -> tuple[Attention | None, ...]:
+    """Returns the last attention up to each row of `thin_track`; empty if the policy never states it."""
+    if not any(attention.values()):
+        return ()
+    steps = np.array(sorted(attention))
+    found = np.searchsorted(steps, _track_steps(frames, control_hz), side="right") - 1
+    return tuple(attention[int(steps[max(0, place)])] for place in found)
 
 
 def _measured(
@@ -287,8 +306,15 @@ def _measured(
         act_ms=1000 * drive.act_s / max(1, drive.answers),
         seconds=seconds,
         trained_on=was_trained_on(drive.policy, spec),
+        target_in_view=_is_in_view(simulator) if end is EvalEnd.TIMEOUT and has_goal else None,
         track=thin_track(track, rules.control_hz),
+        attention=_thin_attention(drive.attention, len(track), rules.control_hz),
     )
+
+
+def _is_in_view(simulator: Simulator) -> bool:
+    """Returns whether the robot's camera shows the target."""
+    return simulator.observe().target_mask.pixels >= simulator.settings.gains.min_mask_px
 
 
 def request_fields(task: EvalTask) -> dict[str, Any]:

@@ -17,6 +17,10 @@ RESULTS_FORMAT = 1
 """Format version of the results. Readers accept this version and older ones, and raise an error for a newer one."""
 
 
+_REST_ROWS, _REST_M = 10, 0.05
+"""A robot that moves less than this distance in the last rows of its track, one second, has stopped."""
+
+
 class Variant(StrEnum):
     """Instruction variant."""
 
@@ -43,10 +47,26 @@ class EvalEnd(StrEnum):
         return self.value.startswith("policy_")
 
 
+class FailureKind(StrEnum):
+    """What went wrong in a failed episode; the values are the words of pages and tables."""
+
+    STOPPED_EARLY = "stopped early"  # at rest outside the success region, with the target in view
+    OTHER_INSTANCE = "other instance"  # met the success rule at another object of the category
+    LOST_TARGET = "lost the target"  # the target was not in view at the end
+    COLLISION = "collision"
+    STEP_LIMIT = "step limit"  # still driving with the target in view
+    TIMEOUT = "timeout"  # results of older versions, which do not record whether the target was in view
+    POLICY = "policy failure"
+
+
 REAL: Final = "real"
 MAX_LATENCY_MS = 60_000.0
 Latency = Literal["real"] | Annotated[float, Field(ge=0, le=MAX_LATENCY_MS)]
 """Time that passes in the simulation for each answer of a policy: milliseconds, or `real` for the measured time."""
+
+
+Attention = tuple[Fraction, Fraction, Fraction]
+"""Where a policy located an object: column and row as fractions of the image, and a confidence."""
 
 
 class TrainingNote(Model):
@@ -115,8 +135,34 @@ class EpisodeResult(Model):
     trained_on: bool | None = Field(default=None, exclude_if=lambda it: it is None)
     """Whether the policy was trained on an episode with the same scene, target and start; `None` and omitted if the
     policy does not state its training episodes."""
+    target_in_view: bool | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Whether the camera showed the target at the end of an episode that reached the step limit; otherwise, and in
+    results of older versions, `None` and omitted."""
     track: tuple[tuple[float, float, float], ...]
     """x, y in metres (to 1 mm) and yaw in radians (to 1 mrad), at 10 Hz and at the last frame."""
+
+    attention: tuple[Attention | None, ...] = Field(default=(), exclude_if=lambda it: not it)
+    """Where the policy located the named object in its last image before each row of the track; empty and omitted for
+    policies that do not say."""
+
+    @property
+    def failure(self) -> FailureKind | None:
+        """Kind of the failure; `None` after a success."""
+        if self.success:
+            return None
+        if self.end.is_of_the_policy:
+            return FailureKind.POLICY
+        if self.end is EvalEnd.COLLISION:
+            return FailureKind.COLLISION
+        if self.any_instance:
+            return FailureKind.OTHER_INSTANCE
+        if self.target_in_view is None:
+            return FailureKind.TIMEOUT
+        if not self.target_in_view:
+            return FailureKind.LOST_TARGET
+        last = self.track[-_REST_ROWS:]
+        moved_m = max(math.dist(row[:2], last[-1][:2]) for row in last)
+        return FailureKind.STOPPED_EARLY if moved_m < _REST_M else FailureKind.STEP_LIMIT
 
     @property
     def key(self) -> tuple[str, Variant, str]:

@@ -6,6 +6,7 @@ Loads the checkpoint on construction. Uses camera and instruction only.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
-from factory.eval.models.result import TrainingNote
+from factory.eval.models.result import Attention, TrainingNote
 from factory.train import preprocess
 from factory.train.checkpoint import POLICY, checkpoint_path, read_checkpoint
 from factory.train.torch_import import load_torch
@@ -39,6 +40,14 @@ def bc_file(name: str) -> Path:
     if not path.is_file():
         raise UsageError(f"checkpoint {path} does not exist; `factory train bc DIR -o OUT` creates OUT/{POLICY}")
     return path
+
+
+def _peak(logits: NDArray[np.float32]) -> Attention:
+    """Returns the most likely cell of a pointer map: its centre as fractions of the image, and the share of the target
+    that the network expects in it."""
+    row, column = divmod(int(logits.argmax()), logits.shape[1])
+    confidence = 1 / (1 + math.exp(-float(np.clip(logits[row, column], -50, 50))))
+    return (column + 0.5) / logits.shape[1], (row + 0.5) / logits.shape[0], confidence
 
 
 class BcPolicy:
@@ -91,6 +100,7 @@ class BcPolicy:
         words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
         self._words = self._torch.from_numpy(words[None])
         self._stops = 0
+        self.attention: Attention | None = None
 
     def act(self, observation: PolicyInput) -> NDArray[np.float32]:
         """Returns an action chunk, (hold, 2) twists."""
@@ -101,6 +111,8 @@ class BcPolicy:
         )
         with self._torch.inference_mode():
             answer = self._network(self._torch.from_numpy(picture), self._words)
+        if self.meta.options.mask_weight:  # otherwise the map was not trained
+            self.attention = _peak(answer.mask[0].numpy())
         twist, is_stop = self._decide(answer)
         self._stops = self._stops + 1 if is_stop else 0
         if self._stops >= STOPS_REQUIRED:

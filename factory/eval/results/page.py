@@ -12,10 +12,13 @@ from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, 
 from factory.eval.results.summary_text import (
     ABLATION_HEAD,
     ASSUMED,
+    FAILURES,
     INTERVALS,
     ablation_rows,
     conclusion,
     describe_ends,
+    failure_kinds,
+    failure_rows,
     fault_lines,
     policies_without_instruction,
 )
@@ -213,6 +216,8 @@ def tables_of(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
     """Yields the measures of all policies: overall, by group, and with other instructions."""
     whole = [[MeasureCell(policy.policy), *_cells(policy.overall)] for policy in policies]
     yield MeasureTable("all", "All episodes", ("policy", *_HEAD), [("", whole)])
+    if any(policy.failures for policy in policies):
+        yield _failure_table(policies)
     for by, title in GROUPS.items():
         groups: dict[str, list[Sequence[MeasureCell]]] = {}
         for name, policy, score in side_by_side(policies, by):
@@ -220,6 +225,11 @@ def tables_of(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
         if groups:
             yield MeasureTable(by, title, (by, "policy", *_HEAD), list(groups.items()))
     yield from _ablations(policies)
+
+
+def _failure_table(policies: Sequence[PolicyScores]) -> MeasureTable:
+    rows = [[MeasureCell(name), *map(_share, shares)] for name, shares in failure_rows(policies)]
+    return MeasureTable("failures", FAILURES, ("policy", *failure_kinds(policies)), [("", rows)])
 
 
 def _ablations(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
@@ -241,7 +251,10 @@ def _different(film: EpisodeFilm) -> dict[str, object]:
     return {
         "row": row,
         "facts": f"{row.scene}, {row.tier}, {row.split}; {row.target_id}",
-        "ends": [f"{one.policy}: {one.end}, NE {one.final_ne_m:.2f} m, {one.num_steps} steps" for one in film.rows],
+        "ends": [
+            f"{one.policy}: {one.failure or one.end}, NE {one.final_ne_m:.2f} m, {one.num_steps} steps"
+            for one in film.rows
+        ],
         "source": data_uri("video/mp4", film.film),
         "poster": data_uri("image/jpeg", film.poster),
     }

@@ -12,7 +12,16 @@ from typing import Annotated
 
 from pydantic import Field
 
-from factory.eval.models.result import BOUNDS, MEANS, RESULTS_FORMAT, EpisodeResult, EvalEnd, Latency, Variant
+from factory.eval.models.result import (
+    BOUNDS,
+    MEANS,
+    RESULTS_FORMAT,
+    EpisodeResult,
+    EvalEnd,
+    FailureKind,
+    Latency,
+    Variant,
+)
 from factory.eval.policies.registry import PolicyNote
 from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import NO_VALUES, IntervalEstimate, difference_of_shares, mcnemar_p, means_of
@@ -164,6 +173,8 @@ class PolicyScores(Model):
     overall: Score
     groups: tuple[Score, ...]
     ends: dict[EvalEnd, int]
+    failures: dict[FailureKind, Share] = Field(default={}, exclude_if=lambda it: not it)
+    """Share of the episodes with each kind of failure that occurred, the most frequent first."""
     made_from: dict[str, str] = Field(default={}, max_length=1001, exclude_if=lambda it: not it)
     """SHA-256 of each file of the policy, or of its server's greeting."""
     training: TrainingOverlap | None = Field(default=None, exclude_if=lambda it: it is None)
@@ -270,11 +281,19 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
         overall=score(ALL, ALL, original, is_evaluated),
         groups=tuple(_grouped(original, is_evaluated)),
         ends=dict(sorted(Counter(row.end for row in original).items())),
+        failures=_failures(original),
         made_from=note.made_from,
         faults=faults_of(results),
         ablation=tuple(_ablations(results)) if is_evaluated else (),
         act_ms=sum(row.act_ms for row in original) / len(original) if original else None,
     )
+
+
+def _failures(rows: Sequence[EpisodeResult]) -> dict[FailureKind, Share]:
+    counts = Counter(row.failure for row in rows if row.failure is not None)
+    order = list(FailureKind)
+    ranked = sorted(counts.items(), key=lambda item: (-item[1], order.index(item[0])))
+    return {kind: share_of(count, len(rows)) for kind, count in ranked}
 
 
 def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[str, PolicyScores, Score]]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from factory.eval.models.result import EvalEnd, FailureKind
 from factory.eval.policies.made_from import describe
 from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import DIFFER, POWER, IntervalEstimate, resolved_difference
 from factory.eval.results.score import PolicyScores
+from factory.stats.measures import share_of
 from factory.stats.statistics import Share
 
 _MOST_CLIPPED = 0.05
@@ -87,9 +89,30 @@ def policies_without_instruction(policies: Sequence[PolicyScores]) -> list[str]:
     return [policy.policy for policy in policies if not policy.reads_instruction]
 
 
+FAILURES = "Failures by kind, % of the episodes"
+
+
+def failure_kinds(policies: Sequence[PolicyScores]) -> list[FailureKind]:
+    """Returns the kinds of failure that occurred with any policy."""
+    return [kind for kind in FailureKind if any(kind in policy.failures for policy in policies)]
+
+
+def failure_rows(policies: Sequence[PolicyScores]) -> list[tuple[str, list[Share]]]:
+    """Returns each policy with the shares of `failure_kinds`."""
+    kinds = failure_kinds(policies)
+    return [
+        (policy.policy, [policy.failures.get(kind, share_of(0, policy.overall.n)) for kind in kinds])
+        for policy in policies
+    ]
+
+
 def describe_ends(policy: PolicyScores) -> str:
     """Returns the ends of the episodes of a policy, its clipped actions, its hashes and its mean inference time."""
-    parts = [", ".join(f"{count} {end}" for end, count in policy.ends.items())]
+    # results of older versions have no kinds of failure
+    kinds = {str(kind): share.count for kind, share in policy.failures.items()}
+    others = kinds or {str(end): count for end, count in policy.ends.items() if end is not EvalEnd.SUCCESS}
+    counts = {str(EvalEnd.SUCCESS): policy.ends.get(EvalEnd.SUCCESS, 0)} | others
+    parts = [", ".join(f"{count} {name}" for name, count in counts.items() if count)]
     if policy.overall.clipped is not None:
         parts.append(f"{100 * policy.overall.clipped:.1f} % of the actions clipped")
     if policy.made_from:

@@ -12,10 +12,13 @@ from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, 
 from factory.eval.results.summary_text import (
     ABLATION_HEAD,
     ASSUMED,
+    FAILURES,
     INTERVALS,
     ablation_rows,
     conclusion,
     describe_ends,
+    failure_kinds,
+    failure_rows,
     fault_lines,
     policies_without_instruction,
 )
@@ -49,6 +52,10 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
         print_text(f"limits: {evaluation.limits.describe()}")
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
     print_table("\nAll episodes", ("policy", *_HEAD), rows, widest=_WIDTH)
+    kinds = failure_kinds(evaluation.policies)
+    if kinds:
+        failures = [(name, *map(_plain, shares)) for name, shares in failure_rows(evaluation.policies)]
+        print_table(f"\n{FAILURES}", ("policy", *kinds), failures, widest=_WIDTH)
     for by, title in GROUPS.items():
         if all_tables or by in _ALWAYS:
             _print_groups(evaluation.policies, by, title)

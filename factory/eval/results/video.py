@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from factory.eval.models.result import EpisodeResult
+from factory.eval.models.result import Attention, EpisodeResult
 from factory.eval.results.compare import Pair
 from factory.visualize.film import Rgb
 from schemas.config import CameraConfig, TaskConfig
@@ -33,17 +33,19 @@ _FRAMES = 36
 _GAP_PX = 8
 _POSTER_QUALITY = 80
 _MARGIN_M = 1.2
+_MARK_PX = 16
+_MARK, _MARK_EDGE = (255, 0, 200), (255, 255, 255)
 _FREE, _OCCUPIED, _UNKNOWN = 245, 110, 170
 _TRACK, _START, _GOAL = (20, 80, 220), (20, 160, 60), (220, 30, 30)
 
 
 def choose_failures(results: Sequence[EpisodeResult], count: int) -> list[EpisodeResult]:
-    """Returns at most `count` failures in the order of the results; prefers failures with different ends."""
-    by_end: dict[str, list[EpisodeResult]] = {}
+    """Returns at most `count` failures in the order of the results; prefers failures of different kinds."""
+    by_kind: dict[str, list[EpisodeResult]] = {}
     for row in results:
-        if not row.success:
-            by_end.setdefault(row.end, []).append(row)
-    queues, chosen = list(by_end.values()), list[EpisodeResult]()
+        if row.failure is not None:
+            by_kind.setdefault(row.failure, []).append(row)
+    queues, chosen = list(by_kind.values()), list[EpisodeResult]()
     while len(chosen) < count and any(queues):
         for rows in queues:
             if rows and len(chosen) < count:
@@ -80,7 +82,24 @@ def draw_frames(
         pose = result.track[row]
         rgb = renderer.render(Pose.planar(*pose, z=scene.info.floor_height_m)).rgb
         view = Image.fromarray(rgb).resize((_SIDE_PX, _SIDE_PX), Image.Resampling.BOX)
+        if result.attention:
+            _mark(view, result.attention[row])
         yield np.hstack((np.asarray(view), np.asarray(board.draw(row))))
+
+
+def _mark(view: Image.Image, attention: Attention | None) -> None:
+    """Draws a circle where the policy located the named object; the surer the policy, the thicker the line."""
+    if attention is None:
+        return
+    column, row, confidence = attention
+    x, y = column * _SIDE_PX, row * _SIDE_PX
+    box = (x - _MARK_PX, y - _MARK_PX, x + _MARK_PX, y + _MARK_PX)
+    pen = ImageDraw.Draw(view)
+    width = 1 + round(3 * confidence)
+    pen.ellipse(box, outline=_MARK_EDGE, width=width + 2)
+    pen.ellipse(
+        tuple(side + inset for side, inset in zip(box, (1, 1, -1, -1), strict=True)), outline=_MARK, width=width
+    )
 
 
 def draw_pair(

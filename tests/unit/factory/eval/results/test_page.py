@@ -86,9 +86,10 @@ def test_the_same_evaluation_gives_the_same_bytes() -> None:
     assert write_page(evaluation_of("stop"), shown) == write_page(evaluation_of("stop"), shown)
 
 
-def test_shown_failures_cover_every_termination_reason() -> None:
+def test_shown_failures_cover_every_kind() -> None:
     ends = [EvalEnd.TIMEOUT] * 6 + [EvalEnd.COLLISION] * 2 + [EvalEnd.POLICY_HUNG]
     rows = [result_of(n, success=False, end=end) for n, end in enumerate(ends, 1)] + [result_of(10)]
-    assert [row.spec_id[-2:] for row in choose_failures(rows, 5)] == ["01", "02", "07", "08", "09"]
+    rows[5] = result_of(6, success=False, target_in_view=False)
+    assert [row.spec_id[-2:] for row in choose_failures(rows, 5)] == ["01", "02", "06", "07", "09"]
     assert len(choose_failures(rows, 99)) == 9
     assert choose_failures(rows, 0) == []
