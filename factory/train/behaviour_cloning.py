@@ -89,7 +89,7 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     require_logs()
     require_package("matplotlib", "the curve of a training")
     resumed = _check_folder(order)
-    train, val = _frames(order, callbacks)
+    train, val = frames_of_order(order, callbacks)
     meta = _meta(order, train)
     if resumed is not None:
         _require_same_data(resumed, meta, order.out)
@@ -174,7 +174,13 @@ def _describe_data(meta: CheckpointMeta) -> str:
     return f"{meta.train_episodes} episodes, {meta.train_frames} frames, digest {meta.train_digest[:12]}{shown}"
 
 
-def _frames(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrames, TrainingFrames | None]:
+def frames_of_order(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[TrainingFrames, TrainingFrames | None]:
+    """Returns the frames of a training, and those of its validation, if there are any.
+
+    Raises:
+        UsageError: The split has no episodes, or an option does not fit the dataset.
+        ArchiveCorrupt: An episode is damaged.
+    """
     options = order.options
     if options.antialias is not None and order.dataset.meta.plan.record is Recording.FRAMES:
         raise UsageError(f"--antialias {options.antialias}: {order.dataset.root} stores frames, which are not rendered")

@@ -20,9 +20,11 @@ from factory.train.input_size import PREPROCESS_VERSION
 from factory.train.options import StopRule
 from schemas.base import Model, Positive, Sha256
 from schemas.bundle import Corrections
+from schemas.episode import EpisodeMeta
 from schemas.errors import UsageError
-from schemas.measure import StopLabel, stop_labels
+from schemas.measure import Goal, StopLabel, goal_bearings, stop_labels
 from schemas.plan import canonical_json
+from schemas.support.numpy_types import Floats
 
 _TAIL_STEPS, _TAIL_STRIDE = 30, 2
 """Length and stride of the denser sampling at the end of an episode, steps. The stop takes about half a second."""
@@ -39,10 +41,14 @@ class Labels(NamedTuple):
     """(N,) whether `is_stop` is a label; otherwise both answers are right."""
     has_twist: NDArray[np.bool_]
     """(N,) whether `actions` is a label."""
+    goal: NDArray[np.float32]
+    """(N, 2) distance to the target by the success measure, metres, and its bearing, radians, counter-clockwise; NaN
+    for a false premise."""
 
     def take(self, rows: NDArray[np.int64]) -> Labels:
         """Returns the labels of some rows."""
-        return Labels(self.actions[rows], self.is_stop[rows], self.has_stop[rows], self.has_twist[rows])
+        taken = (self.actions[rows], self.is_stop[rows], self.has_stop[rows], self.has_twist[rows])
+        return Labels(*taken, self.goal[rows])
 
     @classmethod
     def joined(cls, parts: Sequence[Labels]) -> Labels:
@@ -83,6 +89,7 @@ def label_episode(
     frames: NDArray[np.int64],
     stop: int,
     hold: int,
+    goal: NDArray[np.float32],
     when: NDArray[np.uint8] | None = None,
 ) -> Labels:
     """Returns the labels of the selected frames of a demonstration.
@@ -95,6 +102,7 @@ def label_episode(
         frames: (N,) selected frames.
         stop: First frame of the stop.
         hold: Steps for which an action is held.
+        goal: (T, 2) `Labels.goal` of all steps.
         when: (T,) labels of `stop_labels`; `None` labels the frames from the expert's stop on as stops.
     """
     brakes = frames >= stop
@@ -102,28 +110,46 @@ def label_episode(
     wanted = actions[np.where(brakes, frames, last)].astype(np.float32)
     wanted[brakes] = 0.0
     if when is None:
-        return Labels(wanted, brakes, np.ones_like(brakes), ~brakes)
-    return _with_stops(wanted, when[frames], ~brakes)
+        return Labels(wanted, brakes, np.ones_like(brakes), ~brakes, goal[frames])
+    return _with_stops(wanted, when[frames], ~brakes, goal[frames])
 
 
-def label_corrections(corrections: Corrections, frames: NDArray[np.int64], when: NDArray[np.uint8]) -> Labels:
+def label_corrections(
+    corrections: Corrections, frames: NDArray[np.int64], when: NDArray[np.uint8], goal: NDArray[np.float32]
+) -> Labels:
     """Returns the labels of the selected frames of an episode with corrections.
 
     Args:
         corrections: actions of the planner at the poses.
         frames: (N,) selected frames.
         when: (T,) labels of `stop_labels`.
+        goal: (T, 2) `Labels.goal` of all steps.
     """
     wanted = corrections.expert_actions[frames].astype(np.float32)
     is_driven = np.isfinite(wanted).all(axis=1)
     wanted[~is_driven] = 0.0
-    return _with_stops(wanted, when[frames], is_driven & (wanted != 0).any(axis=1))
+    return _with_stops(wanted, when[frames], is_driven & (wanted != 0).any(axis=1), goal[frames])
 
 
-def _with_stops(wanted: NDArray[np.float32], when: NDArray[np.uint8], is_driven: NDArray[np.bool_]) -> Labels:
+def _with_stops(
+    wanted: NDArray[np.float32], when: NDArray[np.uint8], is_driven: NDArray[np.bool_], goal: NDArray[np.float32]
+) -> Labels:
     is_stop = when == StopLabel.STOP
     wanted = np.where(is_stop[:, None], np.float32(0), wanted)
-    return Labels(wanted, is_stop, when != StopLabel.EITHER, is_driven & ~is_stop)
+    return Labels(wanted, is_stop, when != StopLabel.EITHER, is_driven & ~is_stop, goal)
+
+
+def goal_labels(meta: EpisodeMeta, poses: Floats) -> NDArray[np.float32]:
+    """Returns `Labels.goal` of all steps, (T, 2).
+
+    Args:
+        meta: metadata of the episode.
+        poses: (T, 7) poses of base_link in the world frame.
+    """
+    if meta.job.is_false_premise:
+        return np.full((len(poses), 2), np.nan, np.float32)
+    goal = Goal.of_episode(meta)
+    return np.stack([goal.distances(poses[:, :2]), goal_bearings(goal, poses)], axis=1).astype(np.float32)
 
 
 def corrected_frames(corrections: Corrections, when: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -135,7 +161,7 @@ def corrected_frames(corrections: Corrections, when: NDArray[np.uint8]) -> NDArr
     return np.flatnonzero(labelled | (in_tail & (when != StopLabel.EITHER)))
 
 
-CACHE_FORMAT = 2
+CACHE_FORMAT = 3
 MASK_SHRINK = 8
 """Downscaling factor from the picture to the target mask, which has the resolution of the network's second stage."""
 ProgressCallback = Callable[[int, int], None]
@@ -370,14 +396,15 @@ def _settings(episode: Episode) -> tuple[int, float, float, float]:
 def _label(episode: Episode, hold: int, stops: StopRule) -> tuple[NDArray[np.int64], Labels]:
     """Returns the training frames of an episode, and their labels."""
     meta, corrections = episode.meta, episode.corrections
+    goal = goal_labels(meta, episode.poses)
     if corrections is not None:  # its end says nothing about the policy's stops before
         when = stop_labels(meta, episode.poses)
         frames = corrected_frames(corrections, when)
-        return frames, label_corrections(corrections, frames, when)
+        return frames, label_corrections(corrections, frames, when, goal)
     frames, job = chosen_frames(len(episode), hold), meta.job
     stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
     with_success = stop_labels(meta, episode.poses) if stops == "success" else None
-    return frames, label_episode(episode.actions, frames, stop, hold, with_success)
+    return frames, label_episode(episode.actions, frames, stop, hold, goal, with_success)
 
 
 def _describe(episode: Episode, first: int, frames: int) -> LabelledEpisode:

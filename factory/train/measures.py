@@ -63,8 +63,9 @@ class TrainReport(Model):
 class TrainBar(Closing):
     """Progress bars of a training on stderr, and one line per epoch."""
 
-    def __init__(self, epochs: int) -> None:
-        self._epochs = epochs
+    def __init__(self) -> None:
+        self.epochs = 0
+        """Number of epochs of the training."""
         self._bar = Bars()
         self._decoding: Any = None
         self._task: Any = None
@@ -84,7 +85,7 @@ class TrainBar(Closing):
         """Updates the number of batches and the loss of this epoch."""
         if self._task is None:
             self._task = self._bar.add_task("training", total=of)
-        note = f"epoch {epochs + 1} of {self._epochs}, loss {loss:.3f}"
+        note = f"epoch {epochs + 1} of {self.epochs}, loss {loss:.3f}"
         self._bar.update(self._task, total=of, completed=done, note=note)
 
     def measured(self, epoch: EpochMeasures) -> None:

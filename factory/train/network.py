@@ -1,4 +1,4 @@
-"""Network of the baseline: a small residual encoder, an LSTM over the instruction, and a head. Imports torch.
+"""Networks of the baselines: an image encoder, an LSTM over the instruction, and a head. Imports torch.
 
 The instruction modulates the later stages of the encoder (FiLM) and predicts a mask of the target; the head receives
 the features under the mask, their position, and the global features. Import this module only to use a network.
@@ -12,11 +12,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from factory.train.efficientnet import COARSE, FINE, MIDDLE, EfficientNetLite0
 from factory.train.options import BcOptions
 from schemas.tokens import GRID_POINTS
 
 _CELLS = GRID_POINTS * GRID_POINTS
 _GROUPS = 4
+_STATE, _DEPTH, _NEAR, _WIDE, _TRUNK = 64, 32, 96, 192, 256
+"""Widths of `PolicyNetwork`: of the instruction state, of the depth's features, and of its stages."""
+GOAL_SCALE_M = 2.0
+"""Unit of the distance in `NetworkOutput.goal`."""
 
 
 class NetworkOutput(NamedTuple):
@@ -31,10 +36,87 @@ class NetworkOutput(NamedTuple):
     """(N, 49) logits of the grid points, at index 7 * token of v + token of w; token head only."""
     mask: Tensor
     """(N, S/8, S/8) logits of the target mask."""
+    goal: Tensor
+    """(N, 3) distance to the target / `GOAL_SCALE_M`, and cosine and sine of its bearing; (N, 0) from `BcNetwork`."""
 
 
-class BcNetwork(nn.Module):  # type: ignore[misc]
-    """Network from pictures (N, 4, S, S) and tokens (N, W) to actions.
+def make_network(options: BcOptions, words: int) -> Network:
+    """Returns the network of a training, with random weights.
+
+    Args:
+        options: Training options, with encoder, size and head.
+        words: Size of the vocabulary.
+    """
+    return BcNetwork(options, words) if options.encoder == "residual" else PolicyNetwork(options, words)
+
+
+class Network(nn.Module):  # type: ignore[misc]
+    """Network from pictures (N, 4, S, S) and tokens (N, W) to actions."""
+
+    def __init__(self, options: BcOptions, words: int) -> None:
+        super().__init__()
+        self._is_tokens = options.head == "tokens"
+        self.embedding = nn.Embedding(words, 32, padding_idx=0)
+        self.reader = nn.LSTM(32, _STATE, batch_first=True)
+
+    def _read(self, words: Tensor) -> Tensor:
+        """Returns the LSTM state after the last word, (N, 64)."""
+        states, _ = self.reader(self.embedding(words))
+        last = (words != 0).sum(dim=1).clamp(min=1) - 1
+        return states[torch.arange(len(words), device=words.device), last]
+
+
+class PolicyNetwork(Network):
+    """Network of `train policy`: EfficientNet-Lite0 for the colours, and a separate decision to stop."""
+
+    def __init__(self, options: BcOptions, words: int) -> None:
+        super().__init__(options, words)
+        self.encoder = EfficientNetLite0()
+        self.depth = nn.Sequential(
+            *(nn.Conv2d(1, 16, 5, stride=4, padding=2, bias=False), nn.GroupNorm(_GROUPS, 16), nn.ReLU()),
+            *(nn.Conv2d(16, _DEPTH, 3, stride=2, padding=1, bias=False), nn.GroupNorm(_GROUPS, _DEPTH), nn.ReLU()),
+        )
+        self.lateral = nn.Conv2d(MIDDLE, _STATE, 1)
+        self.join = _Block(FINE + _STATE + _DEPTH + 2, _NEAR, 1, _STATE)
+        self.look = _Block(_NEAR, _NEAR, 1, _STATE)
+        self.pointer = nn.Conv2d(_NEAR, 1, 1)
+        self.wide = _Block(COARSE + _NEAR, _WIDE, 1, _STATE)
+        self.trunk = nn.Sequential(
+            *(nn.Linear(_WIDE + _NEAR + 4 + _STATE, _TRUNK), nn.ReLU()),
+            *(nn.Linear(_TRUNK, _TRUNK), nn.ReLU()),
+        )
+        self.goal = nn.Linear(_TRUNK, 3)
+        self.twist = nn.Linear(_TRUNK, _CELLS if self._is_tokens else 2)
+        self.stop = nn.Sequential(nn.Linear(_TRUNK + 3, _STATE), nn.ReLU(), nn.Linear(_STATE, 1))
+
+    def forward(self, pictures: Tensor, words: Tensor) -> NetworkOutput:
+        """Returns the actions, the target mask and the place of the target.
+
+        Args:
+            pictures: (N, 4, S, S) output of `preprocess.to_input`, sRGB and nearness; S is a multiple of 32.
+            words: (N, L) token indices, padded with 0.
+        """
+        state = self._read(words)
+        seen = self.encoder(pictures[:, :3])
+        middle = functional.interpolate(self.lateral(seen.middle), scale_factor=2, mode="nearest")
+        joined = torch.cat([seen.fine, middle, self.depth(pictures[:, 3:])], dim=1)
+        near = self.look(self.join(_with_positions(joined), state), state)
+        mask = self.pointer(near)
+        low = functional.avg_pool2d(near, 4)
+        wide = self.wide(torch.cat([seen.coarse, low], dim=1), state).mean(dim=(2, 3))
+        trunk = self.trunk(torch.cat([wide, _attend(near, mask, pictures[:, 3:]), state], dim=1))
+        goal, out = self.goal(trunk), self.twist(trunk)
+        empty = out.new_zeros((len(out), 0))
+        if self._is_tokens:
+            return NetworkOutput(empty, empty, out, mask[:, 0], goal)
+        action = torch.stack([torch.sigmoid(out[:, 0]), torch.tanh(out[:, 1])], dim=1)
+        # the stop depends on the distance, which the labels of the goal teach in every frame
+        stop = self.stop(torch.cat([trunk, goal.detach()], dim=1))
+        return NetworkOutput(action, stop[:, 0], empty, mask[:, 0], goal)
+
+
+class BcNetwork(Network):
+    """Network of `train bc`: a small residual encoder.
 
     Args:
         options: Training options, with size and head.
@@ -42,11 +124,8 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
     """
 
     def __init__(self, options: BcOptions, words: int) -> None:
-        super().__init__()
+        super().__init__(options, words)
         width = options.width
-        self._is_tokens = options.head == "tokens"
-        self.embedding = nn.Embedding(words, 32, padding_idx=0)
-        self.reader = nn.LSTM(32, 64, batch_first=True)
         self.stem = nn.Sequential(
             nn.Conv2d(4, width, 5, stride=2, padding=2, bias=False), nn.GroupNorm(_GROUPS, width), nn.ReLU()
         )
@@ -78,15 +157,9 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         out = self.twist(self.trunk(torch.cat([wide, pointed, instruction_state], dim=1)))
         empty = out.new_zeros((len(out), 0))
         if self._is_tokens:
-            return NetworkOutput(empty, empty, out, mask[:, 0])
+            return NetworkOutput(empty, empty, out, mask[:, 0], empty)
         action = torch.stack([torch.sigmoid(out[:, 0]), torch.tanh(out[:, 1])], dim=1)
-        return NetworkOutput(action, out[:, 2], empty, mask[:, 0])
-
-    def _read(self, words: Tensor) -> Tensor:
-        """Returns the LSTM state after the last word, (N, 64)."""
-        states, _ = self.reader(self.embedding(words))
-        last = (words != 0).sum(dim=1).clamp(min=1) - 1
-        return states[torch.arange(len(words), device=words.device), last]
+        return NetworkOutput(action, out[:, 2], empty, mask[:, 0], empty)
 
 
 class _Block(nn.Module):  # type: ignore[misc]

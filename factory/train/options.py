@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from factory.train.input_size import PREPROCESS_VERSION, SIZES
 from schemas.base import Finite, Fraction, Model, Name, NonNegative, Positive, Sha256
@@ -37,6 +37,7 @@ def ema_decay(step: int, limit: float) -> float:
 CHECKPOINT_FORMAT = 3
 """Format version of a checkpoint. Readers accept this version and older ones, and raise an error for a newer one."""
 Head = Literal["continuous", "tokens"]
+Encoder = Literal["residual", "efficientnet_lite0"]
 StopRule = Literal["braking", "success"]
 
 
@@ -49,6 +50,9 @@ class BcOptions(Model):
     """Whether every instruction is replaced by one constant token."""
     positions: Annotated[bool, Field(exclude_if=lambda it: not it)] = False
     """Whether the features that locate the target include their position in the image; the key is omitted if false."""
+    encoder: Annotated[Encoder, Field(exclude_if=lambda it: it == "residual")] = "residual"
+    """Image encoder. `residual`: that of `train bc`, from random weights; `efficientnet_lite0`: that of `train policy`.
+    The key is omitted for `residual`."""
     stops: Annotated[StopRule, Field(exclude_if=lambda it: it == "braking")] = "braking"
     """Stop labels of demonstrations. `success`: where a stop succeeds (`schemas.measure.stop_labels`); `braking`, the
     only rule of the first versions: from the frame on in which the expert brakes. The key is omitted for `braking`."""
@@ -71,6 +75,12 @@ class BcOptions(Model):
     """Weight of the target mask loss; 0 disables it."""
     stop_weight: Positive = 1.0
     """Weight of the stop frames."""
+
+    @model_validator(mode="after")
+    def _fits_the_encoder(self) -> BcOptions:
+        if self.encoder == "efficientnet_lite0" and self.size % 32:
+            raise ValueError(f"{self.size} is not a multiple of 32 px, which EfficientNet-Lite0 needs")
+        return self
 
     @field_validator("size")
     @classmethod

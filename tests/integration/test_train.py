@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from pydantic import ValidationError
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
@@ -38,7 +39,7 @@ from schemas.support.extras import install_command
 from schemas.terms import Recording, Split
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import open_store
-from tests.builders.needs_torch import needs_torch
+from tests.builders.needs_torch import needs_torch, needs_weights
 
 INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
 # torch 2.13 warns about a deprecated Python feature that it uses
@@ -127,6 +128,68 @@ def test_a_resumed_training_has_the_weights_of_an_uninterrupted_training(root: P
     one, two = weights(tmp_path / "whole"), weights(tmp_path / "parts")
     assert one.keys() == two.keys()
     assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+@needs_weights
+@pytest.mark.parametrize("head", ["continuous", "tokens"])
+def test_a_larger_policy_learns_and_resumes_with_the_same_weights(root: Path, tmp_path: Path, head: str) -> None:
+    larger = options(encoder="efficientnet_lite0", head=head, peak_rate=3e-3)
+    whole = train(root, tmp_path / "whole", larger)
+    assert whole[-1] < whole[0]
+    train(root, tmp_path / "parts", larger, stop_after=1)
+    assert train(root, tmp_path / "parts", larger) == whole
+    one, two = weights(tmp_path / "whole"), weights(tmp_path / "parts")
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+    policy = make_policy(f"bc:{tmp_path / 'whole'}", PolicyLimits())
+    policy.reset("Go to the chair.", INFO)
+    assert np.isfinite(read_actions(policy.act(observation()), "continuous", 1.0, 1.5).twists).all()
+
+
+@needs_weights
+def test_the_encoder_keeps_its_first_blocks_and_the_statistics_of_its_norms(root: Path, tmp_path: Path) -> None:
+    from factory.train.efficientnet import EfficientNetLite0, load_weights
+
+    encoder = EfficientNetLite0()
+    load_weights(encoder)
+    given = {f"encoder.{name}": tensor.numpy() for name, tensor in encoder.state_dict().items()}
+    train(root, tmp_path / "out", options(encoder="efficientnet_lite0", epochs=1, peak_rate=1e-2))
+    trained = weights(tmp_path / "out")
+    same = {name for name in given if np.array_equal(given[name], trained[name])}
+    assert {name for name in given if "running" in name} <= same
+    assert {name for name in given if name.startswith(("encoder._conv_stem", "encoder._blocks.2."))} <= same
+    assert "encoder._blocks.3._expand_conv.weight" not in same
+
+
+@needs_weights
+def test_the_weights_are_those_that_the_file_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from factory.train import efficientnet
+
+    damaged = tmp_path / "weights.pth"
+    damaged.write_bytes(efficientnet.weights_file().read_bytes()[:-1])
+    monkeypatch.setattr(efficientnet, "weights_file", lambda: damaged)
+    with pytest.raises(WorldError, match=r"is damaged .* install its package again"):
+        efficientnet.load_weights(efficientnet.EfficientNetLite0())
+
+
+def test_a_size_that_the_encoder_cannot_read_is_refused() -> None:
+    with pytest.raises(ValidationError, match="80 is not a multiple of 32 px"):
+        options(encoder="efficientnet_lite0", size=80)
+
+
+@needs_weights
+def test_a_budget_chooses_sizes_and_an_interrupted_training_keeps_them(root: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "factory", "train", "policy", str(root), "-o", str(tmp_path / "out")]
+    command += ["--budget", "0.01", "--batch", "4", "--minutes", "0.01"]
+    first = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert first.returncode == 0, first.stderr
+    chosen = re.findall(r"--budget 0.01: (--size \d+ --epochs \d+)", first.stderr)
+    assert len(chosen) == 1
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.returncode == 0, again.stderr
+    assert re.findall(r"--budget 0.01: (--size \d+ --epochs \d+)", again.stderr) == chosen
+    both = subprocess.run([*command, "--size", "64"], capture_output=True, text=True, check=False)
+    assert both.returncode == 2
+    assert "--budget chooses --size and --epochs: omit these, or omit --budget" in both.stderr
 
 
 @needs_torch

@@ -67,14 +67,14 @@ class BcPolicy:
     def __init__(self, name: str) -> None:
         torch = self._torch = load_torch()
         path = bc_file(name)
-        from factory.train.network import BcNetwork
+        from factory.train.network import make_network
 
         torch.set_num_threads(1)  # a driver process uses one core
         checkpoint = read_checkpoint(path)
         self.meta = checkpoint.meta
         self.training = TrainingNote(digest=self.meta.train_digest, episodes=self.meta.train_episodes)
         self.training_starts = self.meta.starts
-        self._network = BcNetwork(self.meta.options, len(self.meta.words))
+        self._network = make_network(self.meta.options, len(self.meta.words))
         try:
             self._network.load_state_dict(checkpoint.tensors["model"])
         except (KeyError, RuntimeError, AttributeError) as error:

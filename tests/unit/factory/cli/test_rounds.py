@@ -8,7 +8,7 @@ from factory.cli.rounds import steps_of
 
 
 def test_each_round_corrects_the_latest_policy_and_trains_on_all_corrections() -> None:
-    steps = steps_of(Path("data"), Path("out"), 2, ("--epochs", "5"), ("--episodes", "9"), ("--split", "val_id"))
+    steps = steps_of(Path("data"), Path("out"), 2, ("bc", "--epochs", "5"), ("--episodes", "9"), ("--split", "val_id"))
     lines = [" ".join(step.arguments) for step in steps]
     assert lines == [
         "train bc data --epochs 5 -o out/policy_0",
@@ -25,5 +25,5 @@ def test_each_round_corrects_the_latest_policy_and_trains_on_all_corrections() -
 
 
 def test_rounds_without_evaluation_only_train_and_correct() -> None:
-    steps = steps_of(Path("data"), Path("out"), 1, (), (), ())
+    steps = steps_of(Path("data"), Path("out"), 1, ("bc",), (), ())
     assert [step.arguments[0] for step in steps] == ["train", "correct", "train"]

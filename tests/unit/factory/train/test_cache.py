@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.train.frames import CacheKey, TrainingFrames, chosen_frames, label_episode, stop_frame
+from factory.train.frames import CacheKey, TrainingFrames, chosen_frames, goal_labels, label_episode, stop_frame
 from factory.train.pictures import open_cache
 from factory.train.preprocess import shrink_depth, shrink_mask, shrink_rgb
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
@@ -49,7 +49,9 @@ def test_the_cache_has_the_content_of_the_episodes(data: Dataset, tmp_path: Path
     assert np.array_equal(cache.pictures.mask[row], shrink_mask(frame.ids, episode.meta.target_instance_id, SIZE // 8))
     job = episode.meta.job
     stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
-    labels = label_episode(episode.actions, frames, stop, HOLD)
+    goal = goal_labels(episode.meta, episode.poses)
+    labels = label_episode(episode.actions, frames, stop, HOLD, goal)
+    assert np.array_equal(cache.labels.goal[len(frames) :], labels.goal)
     assert np.array_equal(cache.labels.actions[len(frames) :], labels.actions)
     assert np.array_equal(cache.labels.is_stop[len(frames) :], labels.is_stop)
     assert cache.index.control_hz == episode.meta.job.task.control_hz

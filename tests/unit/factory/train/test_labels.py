@@ -56,6 +56,11 @@ def test_frames_are_denser_at_the_end() -> None:
     assert frames.max() < 100
 
 
+def goals(steps: int) -> NDArray[np.float32]:
+    """Returns places of the target whose distances are the numbers of the steps."""
+    return np.stack([np.arange(steps), np.zeros(steps)], axis=1).astype(np.float32)
+
+
 def test_short_episodes_use_every_frame() -> None:
     assert chosen_frames(5, 6).tolist() == [0, 2, 4]
 
@@ -63,8 +68,9 @@ def test_short_episodes_use_every_frame() -> None:
 def test_a_label_is_the_command_at_the_end_of_the_hold() -> None:
     actions = drive()
     frames = np.array([0, 12, 80, 84])
-    labels = label_episode(actions, frames, stop=83, hold=6)
+    labels = label_episode(actions, frames, stop=83, hold=6, goal=goals(len(actions)))
     assert labels.is_stop.tolist() == [False, False, False, True]
+    assert labels.goal[:, 0].tolist() == frames.tolist(), "the place of the target at the frame itself"
     assert np.array_equal(labels.actions[0], actions[5])
     assert np.array_equal(labels.actions[1], actions[17])
     assert np.array_equal(labels.actions[2], actions[82]), "the hold ends before the braking"
@@ -75,7 +81,7 @@ def test_stops_by_success_replace_those_of_the_expert() -> None:
     actions, frames = drive(), np.array([0, 60, 80, 84, 90])
     when = np.zeros(len(actions), np.uint8)
     when[70:85], when[85:] = StopLabel.EITHER, StopLabel.STOP
-    labels = label_episode(actions, frames, stop=83, hold=6, when=when)
+    labels = label_episode(actions, frames, stop=83, hold=6, goal=goals(len(actions)), when=when)
     assert labels.is_stop.tolist() == [False, False, False, False, True]
     assert labels.has_stop.tolist() == [True, True, False, False, True]
     assert labels.has_twist.tolist() == [True, True, True, False, False], "a braking expert gives no label"
@@ -92,7 +98,7 @@ def test_corrections_have_the_labels_of_the_planner_and_more_stops_at_the_end() 
     corrections = Corrections(wanted, np.ones(steps, np.uint8))
     frames = corrected_frames(corrections, when)
     assert frames.tolist() == [0, 6, 12, 18, 24, 30, 32, 34, 36, 38, 40, 42, 48, 50, 52, 54, 56, 58]
-    labels = label_corrections(corrections, frames, when)
+    labels = label_corrections(corrections, frames, when, goals(steps))
     assert np.isfinite(labels.actions).all()
     by_frame = {int(frame): row for row, frame in enumerate(frames)}
     assert labels.has_twist[by_frame[0]]

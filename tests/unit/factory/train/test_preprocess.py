@@ -62,7 +62,9 @@ def batch(is_stop: bool) -> Batch:
     mask[:, :, 2] = 1
     actions, words = np.tile(np.float32((0.5, 0.3)), (64, 1)), np.tile(np.int64((2, 3, 0)), (64, 1))
     stops, known = np.full(64, is_stop), np.ones(64, bool)
-    return Batch(to_input(rgb, depth), mask, actions, is_stop=stops, has_stop=known, has_twist=~stops, words=words)
+    kinds = {"is_stop": stops, "has_stop": known, "has_twist": ~stops}
+    goal = np.tile(np.float32((2.0, 0.4)), (64, 1))
+    return Batch(to_input(rgb, depth), mask, actions, **kinds, goal=goal, words=words)
 
 
 def test_mirrored_frames_have_the_opposite_yaw_rate_and_side_words() -> None:
@@ -72,6 +74,9 @@ def test_mirrored_frames_have_the_opposite_yaw_rate_and_side_words() -> None:
     assert (varied.actions[mirrored, 1] == np.float32(-0.3)).all()
     assert (varied.actions[~mirrored, 1] == np.float32(0.3)).all()
     assert (varied.actions[:, 0] == 0.5).all()
+    assert (varied.goal[mirrored, 1] == np.float32(-0.4)).all()
+    assert (varied.goal[~mirrored, 1] == np.float32(0.4)).all()
+    assert (varied.goal[:, 0] == 2.0).all()
     assert (varied.words[mirrored] == (2, 4, 0)).all()
     assert (varied.words[~mirrored] == (2, 3, 0)).all()
 
