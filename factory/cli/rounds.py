@@ -84,9 +84,10 @@ def rounds(
 
     OUT gets policy_0 (demonstrations only), corrections_1, policy_1, and so on, and `evaluation` with all policies.
     Each step is a command of `factory`, which is printed; the same command continues after an interruption.
+    OUT/index.html has the success rate and the failures by round.
 
     \b
-    Then:  open OUT/evaluation/index.html
+    Then:  open OUT/index.html
     """
     from factory.support.terminal import print_result
 
@@ -106,10 +107,12 @@ def rounds(
         # a round with missing episodes is as useful as its number of episodes
         if status and not (status == 1 and step.arguments[0] == "correct"):
             raise WorldError(f"{step.title} ended with exit status {status}; the message is above")
+    if evaluating:
+        _write_page(out, rounds)
     result = {
         "policies": [str(out / f"policy_{number}") for number in range(rounds + 1)],
         "corrections": [str(out / f"corrections_{number}") for number in range(1, rounds + 1)],
-        "page": str(out / "evaluation" / "index.html") if evaluating else None,
+        "page": str(out / "index.html") if evaluating else None,
     }
     print_result(result, as_json, lambda it: click.echo(f"page:    {it['page']}") if it["page"] else None)
     return 0
@@ -152,6 +155,22 @@ def steps_of(
             arguments = ("eval", str(root), *evaluating, *policies, "-o", str(out / "evaluation"))
             steps.append(RoundStep(f"evaluation {number} of {rounds}", arguments))
     return steps
+
+
+def _write_page(out: Path, rounds: int) -> None:
+    """Writes the page of all rounds from the results of their evaluation."""
+    from factory.eval.results.publish import RESULTS_FILE
+    from factory.eval.results.rounds_page import write_rounds_page
+    from factory.eval.results.score import Evaluation
+    from schemas.storage.disk import replacing
+
+    results = out / "evaluation" / RESULTS_FILE
+    evaluation = Evaluation.model_validate_json(results.read_bytes())
+    links = [("evaluation of all rounds", "evaluation/index.html")]
+    links += [(f"training of round {number}", f"policy_{number}/index.html") for number in range(rounds + 1)]
+    page = write_rounds_page(f"{out.resolve().name}: training in rounds", evaluation, links)
+    with replacing(out / "index.html") as part:
+        part.write_text(page, encoding="utf-8")
 
 
 def _run(arguments: tuple[str, ...], as_json: bool) -> int:

@@ -217,7 +217,7 @@ def tables_of(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
     whole = [[MeasureCell(policy.policy), *_cells(policy.overall)] for policy in policies]
     yield MeasureTable("all", "All episodes", ("policy", *_HEAD), [("", whole)])
     if any(policy.failures for policy in policies):
-        yield _failure_table(policies)
+        yield failure_table(policies)
     for by, title in GROUPS.items():
         groups: dict[str, list[Sequence[MeasureCell]]] = {}
         for name, policy, score in side_by_side(policies, by):
@@ -227,7 +227,8 @@ def tables_of(policies: Sequence[PolicyScores]) -> Iterator[MeasureTable]:
     yield from _ablations(policies)
 
 
-def _failure_table(policies: Sequence[PolicyScores]) -> MeasureTable:
+def failure_table(policies: Sequence[PolicyScores]) -> MeasureTable:
+    """Returns the shares of all kinds of failure that occurred."""
     rows = [[MeasureCell(name), *map(_share, shares)] for name, shares in failure_rows(policies)]
     return MeasureTable("failures", FAILURES, ("policy", *failure_kinds(policies)), [("", rows)])
 
