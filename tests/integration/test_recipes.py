@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -49,8 +50,9 @@ def test_a_model_is_trained_on_tokens_and_drives_with_them(
         env=os.environ | {"PYTHONPATH": str(RECIPES.parents[1]), "OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr
-    words = done.stdout.splitlines()[-1].split()
-    first, last = float(words[1]), float(words[4])
+    losses = re.search(r"first loss ([\d.]+), mean of the last ten ([\d.]+);", done.stdout)
+    assert losses is not None, done.stdout
+    first, last = float(losses[1]), float(losses[2])
     assert first > 4, "the first loss is too low for an untrained model with 512 words"
     assert last < 0.5 * first
     monkeypatch.setenv("VLA_CHECKPOINT", str(tmp_path / "tiny"))
