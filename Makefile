@@ -20,7 +20,7 @@ DOCS    := .venv-docs
 READY   := $(VENV)/.ready
 
 .PHONY: setup run test test-slow test-all check bench chaos chaos-long compare-recordings check-rigs ledger-accidents scenes-check
-.PHONY: install-slurm test-engines test-formats test-install test-language test-lerobot test-ray test-slurm test-train fuzz audit docs quickstart release clean
+.PHONY: install-slurm test-engines test-formats test-install test-language test-lerobot test-ray test-slurm test-train weights fuzz audit docs quickstart release clean
 
 # EXTRAS=train or EXTRAS=train,ray adds extras; the installation stays editable, which `pip install '.[train]'` would end
 setup: $(READY)
@@ -201,6 +201,15 @@ $(TRAIN)/.ready: requirements.txt
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps triton==3.9.0 stable-baselines3==2.9.2
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(TRAIN)/.ready
+
+# generates the dataset of record and trains the weights of a release in three rounds of corrections: several days of two
+# cores, resumable with the same command; the weights are build/weights/policy.pt, at most 10 MB
+weights: $(TRAIN)/.ready
+	mkdir -p build/weights
+	$(TRAIN)/bin/factory run docs/training/record.toml --out build/weights/record
+	$(TRAIN)/bin/factory train rounds build/weights/record --train policy --rounds 3 --size 160 --antialias 1 --epochs 12 \
+		--split test_unseen_scene --evaluations 200 -o build/weights/rounds
+	cp build/weights/rounds/policy_3/policy.pt build/weights/policy.pt
 
 # compiles seeds 0-19 of all built-in scenes and runs the contract suite on each: ten minutes, not in CI
 scenes-check: $(READY)

@@ -271,8 +271,15 @@ def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainR
     # the metrics are written first, because a resumed training discards epochs that are newer than its state
     write_atomically(out / _METRICS, report.model_dump_json(indent=2).encode())
     if is_best:
-        write_checkpoint(out / POLICY, Checkpoint(done, {"model": state["model"]}))
+        write_checkpoint(out / POLICY, Checkpoint(done, {"model": _policy_weights(state["model"], meta.options)}))
     write_checkpoint(out / STATE, Checkpoint(done, state))
+
+
+def _policy_weights(weights: dict[str, Any], options: BcOptions) -> dict[str, Any]:
+    """Returns the weights of a policy; those of the larger network as float16, 10 MB, which is enough for inference."""
+    if options.encoder == "residual":
+        return weights
+    return {name: tensor.half() if tensor.is_floating_point() else tensor for name, tensor in weights.items()}
 
 
 def _log(log: Any, measured: EpochMeasures) -> None:
