@@ -85,6 +85,9 @@ class Corrections:
     """(T, 2) twist that the planner wants at the pose of a step: v in m/s, w in rad/s; NaN without a label."""
     drivers: NDArray[np.uint8]
     """(T,) who acted, as `schemas.terms.Driver` numbers them."""
+    route_m: NDArray[np.float32]
+    """(T,) distance from the planner's path of the start, metres. Where it is large, words of the instruction that
+    depend on the place of the robot, such as "on your left", may be wrong."""
 
 
 @dataclass(frozen=True)

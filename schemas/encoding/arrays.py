@@ -123,7 +123,10 @@ EXPERT_ACTIONS = ArraySpec(
 DRIVERS = ArraySpec("drivers", (None,), dtype=np.uint8, unit="who acts", low=0, high=2)
 """Who acted in each step, as `schemas.terms.Driver` numbers them."""
 
-CORRECTION_ARRAYS = (EXPERT_ACTIONS, DRIVERS)
+ROUTE = ArraySpec("route_m", (None,), dtype=np.float32, unit="m", low=0.0, high=1000.0)
+"""Distance of base_link from the planner's path of the start, for which the instruction was written or verified."""
+
+CORRECTION_ARRAYS = (EXPERT_ACTIONS, DRIVERS, ROUTE)
 """Arrays of an episode with corrections, after those of every bundle."""
 
 EPISODE_ARRAYS = (ACTIONS_CONTINUOUS, ACTIONS_TOKENS, POSES)

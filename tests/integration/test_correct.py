@@ -96,7 +96,7 @@ def label_again(episode: Episode, t: int) -> np.ndarray | None:
 
 
 def test_every_episode_ends_at_its_target_and_says_who_acted(folder: Path) -> None:
-    dataset, drivers = Dataset(folder / "round"), set()
+    dataset, drivers, routes = Dataset(folder / "round"), set(), []
     assert len(dataset) == EPISODES
     for episode in dataset:
         with episode:
@@ -108,6 +108,9 @@ def test_every_episode_ends_at_its_target_and_says_who_acted(folder: Path) -> No
             is_labelled = np.isfinite(corrections.expert_actions).all(axis=1)
             assert not is_labelled[np.arange(len(is_labelled)) % 6 != 0].any()
             assert is_labelled[::6].mean() > 0.9
+            assert corrections.route_m[0] < 0.1, "the route begins at the start"
+            routes.append(corrections.route_m.max())
+    assert 0.1 < max(routes) < 10, "policies and disturbances leave the route"
     assert {Driver.POLICY, Driver.EXPERT} <= drivers
     assert {episode.summary.split for episode in dataset} == {"train_id"}
 

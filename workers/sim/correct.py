@@ -92,6 +92,7 @@ class CorrectedPolicy:
         self._disturbed = self._steps(self._config.disturbance_s) * (self._rng.random() < self._config.disturbed_share)
         self._push = Twist(0.0, 0.0)
         self._poses: list[tuple[float, ...]] = []
+        self._route: tuple[Waypoint, ...] = ()
         self._labels: list[Twist] = []
         self._drivers: list[Driver] = []
         self._queue: deque[Twist] = deque()
@@ -119,6 +120,7 @@ class CorrectedPolicy:
         if t % self._config.label_steps == 0:
             path = self._planner.path_from(pose)
             if path is not None:
+                self._route = self._route or path
                 label = self._planner.action_on(path, seen, speed_mps)
             self._by = self._choose(seen, t, path, speed_mps)
         self._labels.append(label)
@@ -132,7 +134,11 @@ class CorrectedPolicy:
         labels = np.array(self._labels, np.float32).reshape(-1, 2)
         low = np.array((0.0, -robot.max_yaw_rate_rps), np.float32)
         high = np.array((robot.max_speed_mps, robot.max_yaw_rate_rps), np.float32)
-        return Corrections(np.clip(labels, low, high), np.array(self._drivers, np.uint8))
+        route = np.array([(point.x, point.y) for point in self._route])
+        distances = _distances_to(route, np.array(self._poses)[:, :2]) if len(route) else np.zeros(len(labels))
+        return Corrections(
+            np.clip(labels, low, high), np.array(self._drivers, np.uint8), route_m=distances.astype(np.float32)
+        )
 
     def _steps(self, seconds: float) -> int:
         return max(1, round(seconds * self._hz))
@@ -232,3 +238,14 @@ def begin_correction(
         )
     driver.begin(job, instruction)
     return CorrectedPolicy(job, expert, driver, grid)
+
+
+def _distances_to(line: Floats, points: Floats) -> Floats:
+    """Returns the distances (T,) from points (T, 2) to a line through K points (K, 2), metres."""
+    first, along = line[:-1], np.diff(line, axis=0)
+    if not len(along):
+        return np.asarray(np.linalg.norm(points - line[0], axis=1))
+    squared = np.maximum((along**2).sum(axis=1), 1e-12)
+    share = np.clip(((points[:, None] - first) * along).sum(axis=2) / squared, 0.0, 1.0)
+    nearest = first + share[..., None] * along
+    return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1))

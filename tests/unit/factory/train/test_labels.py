@@ -95,7 +95,7 @@ def test_corrections_have_the_labels_of_the_planner_and_more_stops_at_the_end() 
     wanted[54] = 0.0
     when = np.zeros(steps, np.uint8)
     when[42:50], when[50:] = StopLabel.EITHER, StopLabel.STOP
-    corrections = Corrections(wanted, np.ones(steps, np.uint8))
+    corrections = Corrections(wanted, np.ones(steps, np.uint8), np.zeros(steps, np.float32))
     frames = corrected_frames(corrections, when)
     assert frames.tolist() == [0, 6, 12, 18, 24, 30, 32, 34, 36, 38, 40, 42, 48, 50, 52, 54, 56, 58]
     labels = label_corrections(corrections, frames, when, goals(steps))
