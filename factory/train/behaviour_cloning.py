@@ -75,6 +75,10 @@ class TrainCallbacks:
     is_stopped: Callable[[], bool]
 
 
+class _EpochStopped(Exception):
+    """The caller stopped the training within an epoch."""
+
+
 @deterministic_algorithms()
 def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     """Trains until all epochs are done, the time limit is reached or the caller stops it; resumes from the folder.
@@ -108,8 +112,13 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
 
             def tell(done: int, of: int, loss: float) -> None:
                 callbacks.learning(training.epochs_done, done, of, loss)
+                if callbacks.is_stopped():
+                    raise _EpochStopped
 
-            measured = training.run_epoch(train, val, tell)
+            try:
+                measured = training.run_epoch(train, val, tell)
+            except _EpochStopped:  # an epoch can take longer than a cluster waits after SIGTERM; it is repeated
+                break
             _require_sound(measured)
             longest = max(longest, measured.seconds)
             epochs.append(measured)

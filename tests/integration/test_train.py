@@ -130,6 +130,25 @@ def test_a_resumed_training_has_the_weights_of_an_uninterrupted_training(root: P
     assert all(np.array_equal(one[name], two[name]) for name in one)
 
 
+@needs_torch
+def test_a_training_stops_within_an_epoch_and_repeats_it(root: Path, tmp_path: Path) -> None:
+    whole = train(root, tmp_path / "whole", options())
+    batches: list[int] = []
+    report = train_bc(
+        TrainOrder(Dataset(root), tmp_path / "parts", options()),
+        TrainCallbacks(
+            caching=lambda _done, _of: None,
+            learning=lambda _epochs, done, _of, _loss: batches.append(done),
+            measured=lambda _measured: None,
+            is_stopped=lambda: batches[1:].count(1) == 1,  # the first batch of the second epoch
+        ),
+    )
+    assert (len(report.epochs), report.finished) == (1, False)
+    assert train(root, tmp_path / "parts", options()) == whole
+    one, two = weights(tmp_path / "whole"), weights(tmp_path / "parts")
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
 @needs_weights
 @pytest.mark.parametrize("head", ["continuous", "tokens"])
 def test_a_larger_policy_learns_and_resumes_with_the_same_weights(root: Path, tmp_path: Path, head: str) -> None:
