@@ -17,6 +17,7 @@ import pytest
 from factory import cli as cli_package
 from factory.cli.jobs import Reach
 from factory.cli.main import VERBS, cli, main
+from factory.cli.train import Training
 from factory.runs.plan_changes import PlanChanges
 from factory.web.http_options import HttpOptions
 from tests.test_layering import PACKAGES, ROOT, imports_of
@@ -44,6 +45,7 @@ SYNONYMS = {
 DIFFERENT = {
     ("factory gate", "--scene"): "measures one scene",
     ("factory train bc", "--split"): "learns from one split",
+    ("factory train policy", "--split"): "learns from one split",
     ("factory train rounds", "--split"): "evaluates on one split",
     ("factory correct", "--policy"): "corrects one policy",
     ("factory worker", "--policy"): "drives with one policy",
@@ -59,7 +61,7 @@ DIFFERENT = {
     ("factory repair", "--plan"): "is an option, because the argument is the dataset",
 }
 """Options that may be declared differently from the other options of the same name, and the reason."""
-COLLECTED = {"changes": PlanChanges, "pages": HttpOptions, "reach": Reach}
+COLLECTED = {"changes": PlanChanges, "pages": HttpOptions, "reach": Reach, "training": Training}
 """Parameters of commands that collect the values of several options, and their types."""
 UNTYPED = {"factory export"}
 """Commands that get options in a dict, because models generate these options."""

@@ -45,9 +45,9 @@ def test_only_drawings_and_rendered_templates_are_inserted_unescaped() -> None:
         if re.search(r"\|\s*safe\b|autoescape|Markup", line)
     ]
     assert unescaped == [
-        "{{ drawing | safe }}",
         '<figure><div role="img" aria-label="{{ panel.alt }}">{{ panel.svg | safe }}</div>'
         "<figcaption>{{ panel.alt }}</figcaption></figure>",
+        "{{ drawing | safe }}",
         '<div id="live" data-events="{{ base }}/live">{{ fragment | safe }}</div>',
         '<div class="table" role="group" aria-label="Attempts over time" tabindex="0">{{ chart | safe }}</div>',
         '<h3{% if title | define %} title="{{ title | define }}"{% endif %}>{{ title }}</h3>{{ drawing | safe }}',
