@@ -37,6 +37,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import translated
 from schemas.support.extras import require_package
 from schemas.terms import Recording, Split
+from workers.client.host_lock import sole_use
 
 if TYPE_CHECKING:
     from factory.train.fit import BcTraining
@@ -87,12 +88,17 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
         UsageError: PyTorch is not installed, the folder contains a training with other options or episodes, or the
             split has no episodes.
         ArchiveCorrupt: An episode is damaged.
-        WorldError: A file cannot be written, or the loss is NaN.
+        WorldError: A file cannot be written, another training writes to the folder, or the loss is NaN.
     """
     device = choose_device(order.device)
     require_logs()
     require_package("matplotlib", "the curve of a training")
     resumed = _check_folder(order)
+    with sole_use(order.out, "training"):
+        return _train(order, callbacks, device, resumed)
+
+
+def _train(order: TrainOrder, callbacks: TrainCallbacks, device: Any, resumed: Checkpoint | None) -> TrainReport:
     train, val = frames_of_order(order, callbacks)
     meta = _meta(order, train)
     if resumed is not None:

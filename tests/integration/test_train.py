@@ -40,6 +40,7 @@ from schemas.terms import Recording, Split
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import open_store
 from tests.builders.needs_torch import needs_torch, needs_weights
+from workers.client.host_lock import sole_use
 
 INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
 # torch 2.13 warns about a deprecated Python feature that it uses
@@ -112,6 +113,7 @@ def test_training_overfits_a_small_dataset(root: Path, tmp_path: Path, head: str
     losses = train(root, tmp_path / "out", options(head=head, epochs=12, peak_rate=1e-2))
     assert losses[-1] < 0.8 * losses[0]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        ".lock",
         "policy.pt",
         "state.pt",
         "metrics.json",
@@ -128,6 +130,16 @@ def test_a_resumed_training_has_the_weights_of_an_uninterrupted_training(root: P
     one, two = weights(tmp_path / "whole"), weights(tmp_path / "parts")
     assert one.keys() == two.keys()
     assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+@needs_torch
+def test_a_second_training_in_the_same_folder_is_refused(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with (
+        sole_use(tmp_path / "out", "training"),
+        pytest.raises(WorldError, match="is in use by another training: wait for its end, or choose another -o"),
+    ):
+        train(root, tmp_path / "out", options())
 
 
 @needs_torch

@@ -8,6 +8,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from schemas.errors import WorldError
+
+FOLDER_LOCK = ".lock"
+"""Lock file in an output folder; it is not deleted, because another process could have opened it."""
+
 
 @contextmanager
 def exclusive_lock(path: Path, wait: Callable[[], None]) -> Iterator[None]:
@@ -28,3 +33,22 @@ def exclusive_lock(path: Path, wait: Callable[[], None]) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+@contextmanager
+def sole_use(folder: Path, what: str) -> Iterator[None]:
+    """Holds the lock of an output folder during the block; a second process is refused at once.
+
+    Args:
+        folder: existing folder.
+        what: what writes to the folder, for the message, such as "evaluation".
+
+    Raises:
+        WorldError: another process holds the lock.
+    """
+
+    def refuse() -> None:
+        raise WorldError(f"{folder} is in use by another {what}: wait for its end, or choose another -o")
+
+    with exclusive_lock(folder / FOLDER_LOCK, refuse):
+        yield

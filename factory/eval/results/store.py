@@ -11,6 +11,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -24,6 +25,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import replacing, translated
 from schemas.support.closing import Closing
 from schemas.view import ViewSettings
+from workers.client.host_lock import FOLDER_LOCK, sole_use
 
 _FORMER = "former"
 """Folder of the results of former versions of policies."""
@@ -53,18 +55,23 @@ class Store(Closing):
 
         Raises:
             UsageError: The directory contains an evaluation with other specs or other options.
-            WorldError: The directory cannot be written, or its format is newer than this software.
+            WorldError: The directory cannot be written, another evaluation writes to it, or its format is newer than
+                this software.
         """
         self.root = root
         self._specs = specs
         self._logs: dict[str, IO[bytes]] = {}
-        with translated("write", root):
-            root.mkdir(parents=True, exist_ok=True)
-            self._agree(manifest)
+        with ExitStack() as held:
+            with translated("write", root):
+                root.mkdir(parents=True, exist_ok=True)
+                held.enter_context(sole_use(root, "evaluation"))
+                self._agree(manifest)
+            self._held = held.pop_all()
 
     def close(self) -> None:
         for log in self._logs.values():
             log.close()
+        self._held.close()
 
     def results(self, policy: str) -> list[EpisodeResult]:
         """Returns the finished episodes of a policy in the order of the specs; truncates an incomplete last line."""
@@ -120,7 +127,7 @@ class Store(Closing):
 
     def _agree(self, manifest: EvalManifest) -> None:
         if not (self.root / _MANIFEST).exists():
-            if any(self.root.iterdir()):
+            if {path.name for path in self.root.iterdir()} - {FOLDER_LOCK}:
                 raise UsageError(f"{self.root} is not empty and not an evaluation; choose another -o")
             self._begin(manifest)
             return
@@ -137,7 +144,7 @@ class Store(Closing):
 
     def _has_results(self) -> bool:
         """Returns whether any episode was run, on this machine or by remote workers."""
-        others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES}
+        others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES, FOLDER_LOCK}
         return bool(others) or any((self.root / _POLICIES).glob(f"*/{_LOG}"))
 
     def _begin(self, manifest: EvalManifest) -> None:

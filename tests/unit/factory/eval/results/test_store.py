@@ -129,3 +129,9 @@ def test_a_note_of_a_policy_is_read_back(tmp_path: Path) -> None:
         assert store.note_of("stop") is None
         store.note(note)
         assert store.note_of("stop") == note
+
+
+def test_a_second_evaluation_of_the_same_folder_is_refused(tmp_path: Path) -> None:
+    with store_in(tmp_path), pytest.raises(WorldError, match="is in use by another evaluation: wait for its end"):
+        store_in(tmp_path)
+    store_in(tmp_path).close()
