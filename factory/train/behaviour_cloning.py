@@ -93,9 +93,10 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     device = choose_device(order.device)
     require_logs()
     require_package("matplotlib", "the curve of a training")
-    resumed = _check_folder(order)
+    with translated("write", order.out):
+        order.out.mkdir(parents=True, exist_ok=True)
     with sole_use(order.out, "training"):
-        return _train(order, callbacks, device, resumed)
+        return _train(order, callbacks, device, _former_state(order))
 
 
 def _train(order: TrainOrder, callbacks: TrainCallbacks, device: Any, resumed: Checkpoint | None) -> TrainReport:
@@ -154,8 +155,8 @@ def _kept_epoch(out: Path, epochs: list[EpochMeasures]) -> EpochMeasures | None:
     return next((epoch for epoch in epochs if epoch.epoch == number), None)
 
 
-def _check_folder(order: TrainOrder) -> Checkpoint | None:
-    """Returns the training state in the folder, if any; creates the folder.
+def _former_state(order: TrainOrder) -> Checkpoint | None:
+    """Returns the training state in the folder, if any.
 
     Raises:
         UsageError: The training in the folder has other options.
@@ -169,8 +170,6 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
                 f"{order.out} contains a training with other options ({'; '.join(different)}): give the same options "
                 "to continue it, or choose another --out"
             )
-    with translated("write", order.out):
-        order.out.mkdir(parents=True, exist_ok=True)
     return checkpoint
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from schemas.errors import WorldError
+from schemas.storage.disk import translated
 
 FOLDER_LOCK = ".lock"
 """Lock file in an output folder; it is not deleted, because another process could have opened it."""
@@ -44,11 +45,13 @@ def sole_use(folder: Path, what: str) -> Iterator[None]:
         what: what writes to the folder, for the message, such as "evaluation".
 
     Raises:
-        WorldError: another process holds the lock.
+        WorldError: another process holds the lock, or the file system has no locks or cannot be written.
     """
 
     def refuse() -> None:
         raise WorldError(f"{folder} is in use by another {what}: wait for its end, or choose another -o")
 
-    with exclusive_lock(folder / FOLDER_LOCK, refuse):
+    with ExitStack() as held:
+        with translated("lock", folder):
+            held.enter_context(exclusive_lock(folder / FOLDER_LOCK, refuse))
         yield

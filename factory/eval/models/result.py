@@ -55,7 +55,7 @@ class FailureKind(StrEnum):
     LOST_TARGET = "lost the target"  # the target was not in view at the end
     COLLISION = "collision"
     STEP_LIMIT = "step limit"  # still driving with the target in view
-    TIMEOUT = "timeout"  # results of older versions, which do not record whether the target was in view
+    TIMEOUT = "timeout"  # false premises, and results of older versions, without a record of the view
     POLICY = "policy failure"
 
 
